@@ -25,9 +25,8 @@
 // Row `count` has the rays of scene space. The rows after it are lights:
 //
 //     texel 0     direction in which the light travels, and 0; or position in scene space, and 1
-//           1     colour, range in scene units; range 0: no falloff. With a range, the colour is the one at a distance
-//           of
-//                 one scene unit.
+//           1     colour, range in scene units; range 0: no falloff. With a range, the colour is the one at a
+//                 distance of one scene unit.
 //           2     axis of the cone of a spot light, cosine of its inner angle
 //           3     cosine of its outer angle: below -1 for all directions; three unused numbers
 

@@ -202,8 +202,8 @@ wgsl_constants! {
         /// Least step along a wide cone, in radii.
         WIDE_STEP: f32 as f32 = 0.4;
         /// Number of directions around the axis of a blocked cone in which an edge is sought. A straight edge is at
-        /// most
-        /// 22.5 degrees away from one of them, so a ray at [`PAST_EDGE`] is at least 15 % of the depth beyond the edge.
+        /// most 22.5 degrees away from one of them, so a ray at [`PAST_EDGE`] is at least 15 % of the depth beyond the
+        /// edge.
         EDGE_DIRECTIONS: usize as u32 = 8;
         /// Cosine of half the angle between two of these directions.
         EDGE_COSINE: f32 as f32 = 0.923_879_5;

@@ -86,23 +86,25 @@ pub(crate) fn by_rate(
         first += count;
         if let Some((count, earlier)) = std::mem::replace(&mut waiting, next) {
             context.wait(what, &earlier, progress)?;
-            let found = since.elapsed().as_secs_f64() / (count as f64 * items.cost);
+            let seconds = since.elapsed().as_secs_f64();
             since = Instant::now();
-            measured.push((count, found));
-            size = longest(found).min(2 * size);
+            measured.push((count, seconds));
+            size = longest(seconds / (count as f64 * items.cost)).min(2 * size);
         }
         progress.check()?;
     }
-    *rate = rate_of(&measured).unwrap_or(*rate);
+    *rate = seconds_per_item(&measured).map_or(*rate, |seconds| seconds / items.cost);
     Ok(())
 }
 
-/// The rate of a job by the numbers of items of its submissions and their rates: the least one of the large
-/// submissions. Other work on the machine, and the compilation of kernels at their first use, only adds time.
-fn rate_of(measured: &[(u64, f64)]) -> Option<f64> {
+/// The time of an item by the numbers of items of submissions and their times, s: the mean over the large submissions.
+/// The small ones include the compilation of kernels at their first use. The time of a single submission may be too
+/// short, since the next one already runs while the host waits; the sum of such times is correct.
+fn seconds_per_item(measured: &[(u64, f64)]) -> Option<f64> {
     let largest = measured.iter().map(|&(count, _)| count).max()?;
     let large = measured.iter().filter(|&&(count, _)| 2 * count >= largest);
-    large.map(|&(_, rate)| rate).min_by(f64::total_cmp)
+    let (count, seconds) = large.fold((0, 0.0), |(count, seconds), part| (count + part.0, seconds + part.1));
+    (count > 0).then(|| seconds / count as f64)
 }
 
 /// Splits `total` units of work into dispatches. `dispatch(first, count)` submits one. Results do not depend on the
@@ -177,13 +179,15 @@ impl Pace {
 
 #[cfg(test)]
 mod tests {
-    use super::rate_of;
+    use super::seconds_per_item;
 
     #[test]
-    fn the_rate_is_the_least_of_the_large_submissions() {
-        assert_eq!(rate_of(&[]), None);
-        // The first submission includes the compilation of kernels, and a small one may cover only the background.
-        assert_eq!(rate_of(&[(4, 9.0), (4, 0.1), (8, 0.2), (16, 3.0), (32, 2.0), (20, 2.5)]), Some(2.0));
-        assert_eq!(rate_of(&[(30, 4.0)]), Some(4.0));
+    fn the_time_of_an_item_is_the_mean_of_the_large_submissions() {
+        assert_eq!(seconds_per_item(&[]), None);
+        // The first submission includes the compilation of kernels. The host woke late after the fourth one, whose time
+        // contains that of the fifth.
+        let measured = [(4, 9.0), (4, 0.1), (8, 0.2), (16, 47.0), (32, 1.0), (16, 16.0)];
+        assert_eq!(seconds_per_item(&measured), Some(1.0));
+        assert_eq!(seconds_per_item(&[(30, 120.0)]), Some(4.0));
     }
 }

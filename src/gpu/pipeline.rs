@@ -81,6 +81,11 @@ impl AnyPipeline {
 }
 
 impl BindGroups {
+    /// Releases all groups, and with them their buffers if no other owner is left.
+    pub(crate) fn clear(&self) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+
     /// The group of a name.
     pub(crate) fn get(
         &self,

@@ -28,8 +28,11 @@ impl Mesh {
     }
 }
 
-/// The vector at length 1. The zero vector stays zero.
+/// The vector at length 1; zero if it is zero or not finite.
 fn unit(vector: DVec3) -> DVec3 {
+    if !vector.is_finite() {
+        return DVec3::ZERO;
+    }
     // Division by the largest component first keeps the squares in range.
     let largest = vector.abs().max_element();
     let scaled = vector / if largest == 0.0 { 1.0 } else { largest };
@@ -59,5 +62,6 @@ mod tests {
     fn short_vectors_have_unit_length() {
         assert_eq!(unit(DVec3::new(0.0, -3e-200, 0.0)), DVec3::NEG_Y);
         assert_eq!(unit(DVec3::ZERO), DVec3::ZERO);
+        assert_eq!(unit(DVec3::new(0.0, f64::INFINITY, 1.0)), DVec3::ZERO);
     }
 }

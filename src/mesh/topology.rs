@@ -230,7 +230,7 @@ fn position_hash(p: &Vec3) -> u64 {
     const FACTOR: u64 = 0x9E37_79B9_7F4A_7C15;
     let [x, y, z] = [p.x, p.y, p.z].map(|coordinate| u64::from((coordinate + 0.0).to_bits()));
     let first = (x | y << 32).wrapping_mul(FACTOR);
-    ((first ^ first >> 32) + z).wrapping_mul(FACTOR)
+    (first ^ first >> 32).wrapping_add(z).wrapping_mul(FACTOR)
 }
 
 /// All faces with their welded vertices. Degenerate faces close the surface around them; after welding they must still

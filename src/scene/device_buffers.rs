@@ -5,6 +5,7 @@ use crate::gpu::Context;
 use crate::gpu::buffer::ReadBack;
 use crate::gpu::constants::scene_counts::{BEAMS_FIT, COUNTS, DISCS_FIT, PARTS, STAGES, STRIDE};
 use crate::gpu::layout::{Answer, Beam, BeamParams, SurfaceParams};
+use crate::gpu::pipeline::BindGroups;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Largest number of beams in memory at a time: 16 MiB.
@@ -43,12 +44,15 @@ pub(crate) struct Buffers {
 }
 
 impl LightBuffers {
-    /// The buffers for a number of answers in the memory of a device.
-    pub(crate) fn on(&self, context: &Context, answers: u64) -> Result<Arc<Buffers>, DeviceError> {
+    /// The buffers for a number of answers in the memory of a device. Smaller ones, and all of `groups`, are released
+    /// before larger ones are made.
+    pub(crate) fn on(&self, context: &Context, groups: &BindGroups, answers: u64) -> Result<Arc<Buffers>, DeviceError> {
         let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(buffers) = kept.as_ref().filter(|buffers| buffers.answers_fit >= answers) {
             return Ok(buffers.clone());
         }
+        *kept = None;
+        groups.clear();
         let buffers = Arc::new(Buffers::new(context, answers)?);
         *kept = Some(buffers.clone());
         Ok(buffers)

@@ -24,6 +24,7 @@ use crate::gpu::pipeline::{BoundRange, Dispatch, DispatchSize, whole};
 use crate::gpu::shader::Instead;
 use crate::progress::Progress;
 use rayon::prelude::*;
+use std::collections::HashMap;
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
@@ -78,7 +79,7 @@ pub(crate) fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut Lig
     (view.tile_count, view.tile_step) = (tiles.count, tiles.step);
     let tile_answers = u64::from(GROUP) * lights as u64;
     let chunk = (MOST_ANSWERS / tile_answers).min(tiles.places());
-    let buffers = device.light.on(context, chunk * tile_answers)?;
+    let buffers = device.light.on(context, &device.groups, chunk * tile_answers)?;
     context.write("view of surfaces", &buffers.view, 0, &[view])?;
     buffers.set_beam_params(context, DeviceScene::beam_params(pass.casters))?;
     let work = FaceLight::new(device, seen, &buffers, [has_cones, has_rays])?;
@@ -227,7 +228,9 @@ fn take_pixel(
 /// ```
 struct FaceLight<'a> {
     context: &'a Context,
-    rate: &'a Mutex<f64>,
+    /// Rates of the device by kinds of beams, and the kinds of this picture.
+    rates: &'a Mutex<HashMap<[bool; 2], f64>>,
+    kinds: [bool; 2],
     buffers: &'a Buffers,
     /// Kernels of a bunch, and those of each round.
     bunch: Vec<Kernel>,
@@ -251,12 +254,8 @@ enum Size {
 
 impl<'a> FaceLight<'a> {
     /// The kernels for a picture. The last argument tells whether any light needs cones, and whether any needs rays.
-    fn new(
-        device: &'a DeviceScene,
-        seen: &DeviceSeen,
-        buffers: &'a Buffers,
-        [has_cones, has_rays]: [bool; 2],
-    ) -> Result<Self, Error> {
+    fn new(device: &'a DeviceScene, seen: &DeviceSeen, buffers: &'a Buffers, kinds: [bool; 2]) -> Result<Self, Error> {
+        let [has_cones, has_rays] = kinds;
         let Buffers { view, counts, groups, params, beams, answers, discs, parts, part_answers, edges, .. } = buffers;
         let texts = device.texts();
         let kernel = |name, file, entry, texts: &[Instead], bindings: &[BoundRange<'_>], size| {
@@ -313,7 +312,7 @@ impl<'a> FaceLight<'a> {
             let joined = [(9, beams), (10, answers), (13, discs), (14, part_answers)];
             round.push(surfaces("join_parts", of_discs, &joined)?);
         }
-        Ok(Self { context: device.context(), rate: &device.light_rate, buffers, bunch, round })
+        Ok(Self { context: device.context(), rates: &device.light_rates, kinds, buffers, bunch, round })
     }
 
     /// The answers for `count` places of tiles from `start` on, with `tile_answers` each and this mean cost.
@@ -331,8 +330,8 @@ impl<'a> FaceLight<'a> {
         let result = buffers.result(context)?;
         let bunch = u64::from(buffers.beams_fit) / tile_answers;
         let items = Items { count, smallest: FIRST_TILES, cost };
-        let rate = || self.rate.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut found = *rate();
+        let rates = || self.rates.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut found = rates().get(&self.kinds).copied().unwrap_or(0.0);
         by_rate(context, "the scene's light", &items, &mut found, progress, |first, tiles| {
             let params =
                 TileParams { count: bunch as u32, next: (start + first) as u32, start: start as u32, first: 0 };
@@ -348,7 +347,7 @@ impl<'a> FaceLight<'a> {
             let copy = (first + tiles == count).then_some((&buffers.answers, bytes, &result));
             Ok(context.submit_all("the scene's light", &dispatches, copy)?)
         })?;
-        *rate() = found;
+        rates().insert(self.kinds, found);
         context.finish("answers", &result, &mut answers)?;
         buffers.keep_result(result);
         Ok(answers)

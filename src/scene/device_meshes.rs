@@ -33,15 +33,19 @@ impl DeviceMeshes {
     }
 
     /// Brings the tables up to date with a scene. The meshes are uploaded again only if one of them is not in memory
-    /// yet, and so are the masks.
-    pub(crate) fn update(&mut self, context: &Context, scene: &Scene) -> Result<(), Error> {
+    /// yet, and so are the masks. Returns whether buffers were replaced.
+    pub(crate) fn update(&mut self, context: &Context, scene: &Scene) -> Result<bool, Error> {
+        let mut has_replaced = false;
         if !scene_meshes(scene).all(|triangles| self.meshes.contains_key(&address(triangles))) {
             (self.meshes, self.geometry) = upload_meshes(context, scene)?;
+            has_replaced = true;
         }
         if !mask_textures(scene).all(|texture| self.masks.contains_key(&address(texture))) {
             (self.masks, self.texels) = upload_masks(context, scene)?;
+            has_replaced = true;
         }
-        Ok(self.materials.set(context, material_rows(scene, &self.masks))?)
+        self.materials.set(context, material_rows(scene, &self.masks))?;
+        Ok(has_replaced)
     }
 
     /// Range of corners of a mesh of the scene.

@@ -53,8 +53,8 @@ pub(crate) struct DeviceScene {
     knows: Vec<bool>,
     /// Numbers of workgroups with which the kernels of beams start, by entry point.
     paces: Mutex<HashMap<&'static str, u64>>,
-    /// Time for the light on a face by one light, s; 0 if it is unknown.
-    pub(super) light_rate: Mutex<f64>,
+    /// Time for the light on a face by one light, s, by whether a picture has cones and whether it has rays.
+    pub(super) light_rates: Mutex<HashMap<[bool; 2], f64>>,
     pub(super) groups: BindGroups,
     /// Memory of the primary pass.
     pub(super) raster: Mutex<RasterMemory>,
@@ -154,7 +154,7 @@ impl DeviceScene {
             light: LightBuffers::default(),
             knows,
             paces: Mutex::default(),
-            light_rate: Mutex::default(),
+            light_rates: Mutex::default(),
             groups: BindGroups::default(),
             raster: Mutex::default(),
         })
@@ -165,16 +165,20 @@ impl DeviceScene {
     pub(crate) fn update(&mut self, scene: &Scene, far: Option<&Far>) -> Result<(), Error> {
         let context = &self.context;
         if !fields_of(scene, far).all(|field| self.fields.known.contains_key(&address(field))) {
+            self.groups.clear();
             self.fields = Fields::upload(context, scene, far)?;
             self.paces = Mutex::default();
-            self.light_rate = Mutex::default();
+            self.light_rates = Mutex::default();
         }
         let (rows, knows) = self.fields.rows(scene, far);
         self.knows = knows;
         self.instances.set(context, rows)?;
         self.nodes.set(context, scene.tree.nodes.clone())?;
         self.items.set(context, scene.tree.items.clone())?;
-        self.meshes.update(context, scene)
+        if self.meshes.update(context, scene)? {
+            self.groups.clear();
+        }
+        Ok(())
     }
 
     pub(crate) fn context(&self) -> &Arc<Context> {
