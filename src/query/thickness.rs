@@ -230,10 +230,12 @@ mod tests {
 
     const AT_ORIGIN: Ball = Ball { point: DVec3::ZERO, normal: DVec3::Z, radius: FIRST };
 
+    /// Lattice steps along each edge of a triangle.
+    const SIDE: usize = 400;
+
     /// The least radius of balls through the points of a lattice on a triangle, and the number of points that bound
     /// one.
     fn least_of_lattice([a, b, c]: [DVec3; 3]) -> (f64, usize) {
-        const SIDE: usize = 400;
         let (mut least, mut count) = (FIRST, 0);
         for i in 0..=SIDE {
             for j in 0..=SIDE - i {
@@ -258,7 +260,10 @@ mod tests {
             let (least, count) = least_of_lattice(corners);
             let found = AT_ORIGIN.beside_triangle(corners).radius;
             prop_assert!(found <= least * (1.0 + 1e-9), "{found} {least}");
-            prop_assert!(count <= 2000 || least <= 1.05 * found, "{found} {least}");
+            // Inside the cone, the radius changes by at most 1 / FLAT + 1 / (2 FLAT^2) < 12 times a displacement.
+            let [a, b, c] = corners;
+            let step = a.distance(b).max(b.distance(c)).max(c.distance(a)) / SIDE as f64;
+            prop_assert!(count <= 2000 || least <= 1.05 * found + 12.0 * step, "{found} {least}");
         }
     }
 
