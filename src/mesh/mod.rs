@@ -13,6 +13,8 @@
 //! counted. A degenerate face still belongs to [`topology`], where it closes the surface around it.
 
 pub(crate) mod derived;
+mod disjoint_sets;
+mod half_edges;
 #[cfg(test)]
 pub(crate) mod random;
 mod stl;

@@ -13,11 +13,12 @@
 //! for an integer winding number everywhere. It allows nested, hollow, touching and self-intersecting surfaces.
 
 use super::Mesh;
-use crate::memory::{with_room, zeroed_result};
+use super::disjoint_sets::DisjointSets;
+use super::half_edges::{Edge, HalfEdge, HalfEdges, has_repeated_corner};
+use crate::memory::with_room;
 use glam::{DVec3, Vec3};
 use rustc_hash::{FxHashMap, FxHashSet};
 use std::borrow::Cow;
-use std::ops::Range;
 use std::sync::OnceLock;
 
 /// Contribution of a face to the winding number.
@@ -70,10 +71,10 @@ impl Topology {
         let faces = welded_faces(mesh, &welded);
         let mut orientation = vec![Orientation::Kept; faces.len()];
         let mut duplicate_faces = 0;
-        let mut half_edges = HalfEdges::of(welded.len(), &faces, &orientation);
+        let mut half_edges = HalfEdges::of(welded.len(), &faces, |_| false);
         if half_edges.may_repeat {
             duplicate_faces = skip_duplicates(&faces, &mut orientation);
-            half_edges = HalfEdges::of(welded.len(), &faces, &orientation);
+            half_edges = HalfEdges::of(welded.len(), &faces, |f| orientation[f as usize] == Orientation::Skipped);
         }
 
         let (mut boundary_edges, mut nonmanifold_edges) = (0, 0);
@@ -262,112 +263,6 @@ fn skip_duplicates(faces: &[[u32; 3]], orientation: &mut [Orientation]) -> usize
     duplicates
 }
 
-fn has_repeated_corner(&[a, b, c]: &[u32; 3]) -> bool {
-    a == b || b == c || c == a
-}
-
-/// An edge of a face without its lower vertex. In order: the higher vertex, the face, and whether the face traverses
-/// the edge from the higher to the lower vertex.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, bytemuck::Zeroable)]
-#[repr(transparent)]
-struct HalfEdge(u64);
-
-impl HalfEdge {
-    fn new(high: u32, face: u32, is_reversed: bool) -> Self {
-        Self(u64::from(high) << 32 | u64::from(face) << 1 | u64::from(is_reversed))
-    }
-
-    fn high(self) -> u32 {
-        (self.0 >> 32) as u32
-    }
-
-    fn face(self) -> u32 {
-        self.0 as u32 >> 1
-    }
-
-    fn is_reversed(self) -> bool {
-        self.0 & 1 == 1
-    }
-}
-
-/// The half-edges of some faces, sorted by the lower vertex, then in their own order.
-struct HalfEdges {
-    items: Vec<HalfEdge>,
-    /// End of the items of each lower vertex.
-    ends: Vec<u32>,
-    /// Whether two faces may have the same corners, or a face a repeated one.
-    may_repeat: bool,
-}
-
-/// The half-edges between two vertices.
-#[derive(Clone, Copy)]
-struct Edge {
-    low: u32,
-    start: u32,
-    end: u32,
-}
-
-impl Edge {
-    fn range(&self) -> Range<usize> {
-        self.start as usize..self.end as usize
-    }
-}
-
-impl HalfEdges {
-    /// The half-edges of all faces that are not skipped.
-    fn of(vertices: usize, faces: &[[u32; 3]], orientation: &[Orientation]) -> Self {
-        let taking_part = || faces.iter().zip(0..).filter(|&(_, f)| orientation[f as usize] != Orientation::Skipped);
-        // Distributes the half-edges to their lower vertices. Filling advances the start of each vertex to its end.
-        let mut ends = vec![0u32; vertices + 1];
-        let mut may_repeat = false;
-        for (face @ &[a, b, c], _) in taking_part() {
-            for low in [a.min(b), b.min(c), c.min(a)] {
-                ends[low as usize + 1] += 1;
-            }
-            may_repeat |= has_repeated_corner(face);
-        }
-        for v in 0..vertices {
-            ends[v + 1] += ends[v];
-        }
-        let mut items = zeroed_result(ends[vertices] as usize);
-        for (&[a, b, c], f) in taking_part() {
-            for (from, to) in [(a, b), (b, c), (c, a)] {
-                let place = &mut ends[from.min(to) as usize];
-                items[*place as usize] = HalfEdge::new(from.max(to), f, from > to);
-                *place += 1;
-            }
-        }
-
-        // Faces with the same corners share edges, where they have the same third vertex.
-        let third = |e: HalfEdge| faces[e.face() as usize].iter().fold(0, |all, v| all ^ v);
-        let mut start = 0;
-        for &end in &ends[..vertices] {
-            let of_vertex = &mut items[start..end as usize];
-            of_vertex.sort_unstable();
-            may_repeat |= of_vertex.windows(2).any(|e| e[0].high() == e[1].high() && third(e[0]) == third(e[1]))
-                || of_vertex.windows(3).any(|e| e[0].high() == e[2].high());
-            start = end as usize;
-        }
-        Self { items, ends, may_repeat }
-    }
-
-    /// In the order of their lower, then of their higher vertices.
-    fn edges(&self) -> impl Iterator<Item = Edge> {
-        let (mut low, mut start) = (0, 0);
-        std::iter::from_fn(move || {
-            let high = self.items.get(start)?.high();
-            while self.ends[low] as usize <= start {
-                low += 1;
-            }
-            let of_vertex = &self.items[start..self.ends[low] as usize];
-            let count = of_vertex.iter().take_while(|e| e.high() == high).count();
-            let edge = Edge { low: low as u32, start: start as u32, end: (start + count) as u32 };
-            start += count;
-            Some(edge)
-        })
-    }
-}
-
 /// Flips the faces of each patch to agree. `sides` are the patch of each face, and whether the face is turned relative
 /// to it. Returns the number of flipped faces, and whether areas or volumes decided.
 fn orient(
@@ -442,76 +337,6 @@ fn orient(
 fn volume_under(mesh: &Mesh, face: usize) -> f64 {
     let [a, b, c]: [DVec3; 3] = mesh.triangle(face as u32);
     a.dot(b.cross(c)) / 6.0
-}
-
-/// Union-find that also stores, for each element, whether it is flipped relative to its root.
-struct DisjointSets {
-    parents: Vec<Parent>,
-    size: Vec<u32>,
-    /// Roots of sets that were joined to themselves with opposite orientation.
-    conflicts: FxHashSet<u32>,
-}
-
-/// The parent of an element, and in the lowest bit whether the element is flipped relative to it.
-#[derive(Clone, Copy)]
-struct Parent(u32);
-
-impl Parent {
-    fn new(index: u32, turned: bool) -> Self {
-        Self(index << 1 | u32::from(turned))
-    }
-
-    fn index(self) -> u32 {
-        self.0 >> 1
-    }
-
-    fn turned(self) -> bool {
-        self.0 & 1 == 1
-    }
-}
-
-impl DisjointSets {
-    fn new(n: usize) -> Self {
-        let parents = (0..n as u32).map(|i| Parent::new(i, false)).collect();
-        Self { parents, size: vec![1; n], conflicts: FxHashSet::default() }
-    }
-
-    /// The root of `x`, and whether `x` is flipped relative to it. Halves the path.
-    fn root(&mut self, mut x: u32) -> (u32, bool) {
-        let mut turned = false;
-        loop {
-            let mut parent = self.parents[x as usize];
-            if parent.index() == x {
-                return (x, turned);
-            }
-            let grand = self.parents[parent.index() as usize];
-            if grand.index() != parent.index() {
-                parent = Parent::new(grand.index(), parent.turned() ^ grand.turned());
-                self.parents[x as usize] = parent;
-            }
-            turned ^= parent.turned();
-            x = parent.index();
-        }
-    }
-
-    /// Joins two sets; `turned` tells whether `b` is flipped relative to `a`.
-    fn join(&mut self, a: u32, b: u32, turned: bool) {
-        let ((root_a, turned_a), (root_b, turned_b)) = (self.root(a), self.root(b));
-        let relative = turned_a ^ turned_b ^ turned;
-        if root_a == root_b {
-            if relative {
-                self.conflicts.insert(root_a);
-            }
-            return;
-        }
-        let (parent, child) =
-            if self.size[root_a as usize] >= self.size[root_b as usize] { (root_a, root_b) } else { (root_b, root_a) };
-        self.parents[child as usize] = Parent::new(parent, relative);
-        self.size[parent as usize] += self.size[child as usize];
-        if !self.conflicts.is_empty() && self.conflicts.remove(&child) {
-            self.conflicts.insert(parent);
-        }
-    }
 }
 
 #[cfg(test)]

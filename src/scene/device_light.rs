@@ -40,7 +40,7 @@ const FIRST_TILES: u64 = 4;
 
 /// Lights the faces that the device found. Returns false if the method does not apply to the picture.
 pub(crate) fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut LightBuffer) -> Result<bool, Error> {
-    let Some(seen) = &pass.buffer.seen else { return Ok(false) };
+    let (Some(seen), Some(corners)) = (&pass.buffer.seen, device.faces()) else { return Ok(false) };
     let scene = pass.casters.scene;
     let eye = scene.scene_from_world(pass.buffer.view.camera.eye);
     let lights = match pass.options.shadows {
@@ -49,7 +49,7 @@ pub(crate) fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut Lig
         SceneShadows::Area(_) | SceneShadows::Article => return Ok(false),
     };
     let is_exact = eye.length() <= MOST_DISTANCE && !pass.buffer.view.camera.is_parallel();
-    if lights == 0 || pass.options.occlusion.is_some() || !is_exact || device.faces().is_none() {
+    if lights == 0 || pass.options.occlusion.is_some() || !is_exact {
         return Ok(false);
     }
     let mut view = SurfaceParams {
@@ -82,7 +82,7 @@ pub(crate) fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut Lig
     let buffers = device.light.on(context, &device.groups, chunk * tile_answers)?;
     context.write("view of surfaces", &buffers.view, 0, &[view])?;
     buffers.set_beam_params(context, DeviceScene::beam_params(pass.casters))?;
-    let work = FaceLight::new(device, seen, &buffers, [has_cones, has_rays])?;
+    let work = FaceLight::new(device, seen, corners, &buffers, [has_cones, has_rays])?;
     let cost = (faces * lights) as f64 / tiles.places() as f64;
     for start in (0..tiles.places()).step_by(chunk as usize) {
         let count = chunk.min(tiles.places() - start);
@@ -254,7 +254,13 @@ enum Size {
 
 impl<'a> FaceLight<'a> {
     /// The kernels for a picture. The last argument tells whether any light needs cones, and whether any needs rays.
-    fn new(device: &'a DeviceScene, seen: &DeviceSeen, buffers: &'a Buffers, kinds: [bool; 2]) -> Result<Self, Error> {
+    fn new(
+        device: &'a DeviceScene,
+        seen: &DeviceSeen,
+        faces: &wgpu::Buffer,
+        buffers: &'a Buffers,
+        kinds: [bool; 2],
+    ) -> Result<Self, Error> {
         let [has_cones, has_rays] = kinds;
         let Buffers { view, counts, groups, params, beams, answers, discs, parts, part_answers, edges, .. } = buffers;
         let texts = device.texts();
@@ -277,7 +283,6 @@ impl<'a> FaceLight<'a> {
             let bindings = device.beam_bindings(entry, parameters, beams, answers);
             kernel(name, "scene_beams", entry, &texts, &bindings, Size::Stage(stage))
         };
-        let faces = device.faces().expect("checked before");
         let of_surfaces = [
             (0, &seen.rows),
             (1, view),
