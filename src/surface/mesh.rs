@@ -135,8 +135,8 @@ impl LevelSurface {
     }
 
     /// Corrects vertices by the planes of the source close to them; see [`super::probes`]. They move within their
-    /// cells, or within a voxel of their regions if they are `free`. `is_flat` states that the source consists of flat
-    /// faces.
+    /// cells, those beyond a free face within their regions, and `free` ones within a voxel of their regions. `is_flat`
+    /// states that the source consists of flat faces.
     fn correct(
         &self,
         vertices: &mut [Loose<'_>],
@@ -153,11 +153,15 @@ impl LevelSurface {
         for near in found.chunk_by(|a, b| a.0 == b.0) {
             let Loose { cell, id, place } = &mut vertices[near[0].0];
             let corner = self.world(cell.index, DVec3::ZERO);
-            let [lower, upper] = if free { self.region_beyond(cell) } else { self.region(cell, 0) };
+            let before = *place - corner;
+            let [lower, upper] = match self.region(cell, 0) {
+                _ if free => self.region_beyond(cell),
+                region if is_within(before, region) => region,
+                _ => self.region(cell, cell.free),
+            };
             own.clear();
             let region = PatchRegion::new(self, cell, *id, crossings, if free { 1.0 } else { 0.0 });
             near.iter().for_each(|&(_, point, normal)| region.join(&mut own, point, normal));
-            let before = *place - corner;
             let is_crease = own.iter().any(|plane| plane.1.dot(own[0].1) < SHARP_COSINE);
             let after = if is_flat || is_crease {
                 let mut planes = Planes::new();

@@ -131,7 +131,7 @@ def test_the_rims_of_a_cut_cylinder_are_sharp(resolution):
 
 @pytest.mark.parametrize(
     ("axis", "degrees", "resolution"),
-    [((1, 2, 3), 10, 32), ((1, 2, 3), 40, 24), ((1, 2, 3), 40, 40), ((3, 1, 2), 12, 36)],
+    [((1, 2, 3), 10, 32), ((1, 2, 3), 10, 40), ((1, 2, 3), 40, 24), ((1, 2, 3), 40, 40), ((3, 1, 2), 12, 36)],
 )
 def test_straight_edges_of_a_curved_face_are_sharp_in_every_cell(axis, degrees, resolution):
     # Half of a cylinder. Its edges touch many cells only a little, and its normal turns by 3 to 5 degrees a voxel.
