@@ -396,6 +396,26 @@ def test_heat_maps(ball, camera, quantity):
         fb.raymarch(ball, camera, size=(8, 8)).heatmap("colour")
 
 
+@pytest.mark.parametrize("quantity", ["steps", "depth"])
+def test_tiles_of_heat_maps_show_means(ball, camera, quantity):
+    frame = fb.raymarch(ball, camera, size=(21, 13))
+    values = np.array(getattr(frame, quantity), np.float64)
+    means = np.full(values.shape, np.inf)
+    for y in range(0, 13, 8):
+        for x in range(0, 21, 8):
+            tile = values[y : y + 8, x : x + 8]
+            if np.isfinite(tile).any():
+                means[y : y + 8, x : x + 8] = tile[np.isfinite(tile)].mean()
+    arrays = {name: getattr(frame, name) for name in ("color", "depth", "normal", "object_id", "shadow", "steps")}
+    expected = fb.Frame({**arrays, quantity: means}, frame.report).heatmap(quantity)
+
+    assert np.abs(frame.heatmap(quantity, tile=8).astype(int) - expected).max() <= 1
+    assert (frame.heatmap(quantity, tile=1) == frame.heatmap(quantity)).all()
+    for tile in (0, 22, 2.5):
+        with pytest.raises(fb.ArgumentError, match="tile"):
+            frame.heatmap(quantity, tile=tile)
+
+
 def test_arrays_raymarch_gives_the_same_picture(ball, camera, device):
     frame = fb.raymarch(ball, camera, size=(40, 24), device=device)
 

@@ -87,32 +87,39 @@ class Frame:
         rgb = srgb_from_linear(self.color[..., :3])
         return checks.frozen(bytes_from_unit(np.concatenate([rgb, self.color[..., 3:]], axis=-1)))
 
-    def heatmap(self, quantity: Quantity = "steps") -> NDArray[np.uint8]:
+    def heatmap(self, quantity: Quantity = "steps", *, tile: int = 1) -> NDArray[np.uint8]:
         """Convert one of the arrays to an image, dark for small and light for large values.
 
         Parameters
         ----------
         quantity : "steps", "rays", "depth" or "shadow", default "steps"
             The array. For several lights, the mean of their shadows.
+        tile : int, default 1
+            Side of square tiles in pixels, from the upper left corner. Each tile shows the mean of its values. Devices
+            compute the pixels of a tile of 8 together, so ``tile=8`` shows where their work is.
 
         Returns
         -------
         (h, w, 3) uint8
-            sRGB. The colours span the range from the smallest to the largest value of the frame; pixels without a
-            value are grey.
+            sRGB. The colours span the range from the smallest to the largest value of the image; pixels and tiles
+            without a value are grey.
 
         Raises
         ------
         ArgumentError
-            For an unknown quantity, and for ``"rays"`` in a picture without them.
+            For an unknown quantity, for ``"rays"`` in a picture without them, and for a tile below 1.
         """
         checks.choice("quantity", quantity, get_args(Quantity))
+        tile = checks.integer("tile", tile, least=1, most=max(self.size))
         if getattr(self, quantity) is None:
             raise ArgumentError(f"quantity: this picture has no {quantity}; pictures of render() have them")
         values = np.asarray(getattr(self, quantity), dtype=np.float64)
         if values.ndim == 3:
             values = values.mean(axis=-1)
         seen = np.isfinite(values)
+        if tile > 1:
+            values = _tile_sums(np.where(seen, values, 0.0), tile) / np.maximum(_tile_sums(seen, tile), 1)
+            seen = _tile_sums(seen, tile) > 0
         low, high = (values[seen].min(), values[seen].max()) if seen.any() else (0.0, 1.0)
         share = np.where(seen, values - low, 0.0) / (high - low if high > low else 1.0)
         stops = np.linspace(0, 1, len(HEAT))
@@ -151,6 +158,14 @@ class Frame:
     def __repr__(self) -> str:
         hit = np.count_nonzero(self.object_id >= 0) / self.object_id.size
         return f"Frame({self.size[0]} x {self.size[1]} pixels, {hit:.0%} hit, on {self.report.get('device', '?')})"
+
+
+def _tile_sums(values: NDArray[Any], tile: int) -> NDArray[np.float64]:
+    """The sum over the tile of each pixel, (h, w). The last tiles of a row or a column may be smaller."""
+    height, width = values.shape
+    sums = np.add.reduceat(values, np.arange(0, height, tile), axis=0, dtype=np.float64)
+    sums = np.add.reduceat(sums, np.arange(0, width, tile), axis=1)
+    return sums.repeat(tile, axis=0)[:height].repeat(tile, axis=1)[:, :width]
 
 
 def srgb_from_linear(linear: NDArray[np.float32]) -> NDArray[np.float32]:
