@@ -10,7 +10,7 @@ use super::thin::ThinRays;
 use crate::gpu::constants::scene_beams::{
     EDGE_COSINE, EDGE_DIRECTIONS, FULL_CLEARANCE, MAX_CONE_STEPS, PAST_EDGE, WIDE_STEP,
 };
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 /// Result of a cone past one instance.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -23,6 +23,7 @@ pub struct Cone {
 
 impl Cone {
     pub const FREE: Self = Self { x: 1.0, is_covered: false };
+    pub(crate) const COVERED: Self = Self { x: -1.0, is_covered: true };
 }
 
 /// Lower bound of the distance between a free axis and a surface, in radii, for the estimate `x` of
@@ -48,6 +49,17 @@ pub(crate) fn visible_share(x: f32) -> f32 {
     }
     let s = x * x;
     0.5 + x * (std::f32::consts::FRAC_2_PI - s * (0.106_10 + s * (0.015_92 + s * 0.014_60)))
+}
+
+/// Result of a walk that looks for any edge in a cone.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Decision {
+    /// No surface enters the cone.
+    Free,
+    /// The axis is free, and a surface enters the cone.
+    Edge,
+    /// The axis enters the object at this position.
+    Blocked(f32),
 }
 
 /// Result of a cone to a light.
@@ -145,6 +157,8 @@ impl ConeSum {
 pub(crate) struct ConeWalk<'a> {
     pub field: &'a dyn Field,
     pub instance: &'a Instance,
+    /// Origin and direction of the axis: `t` is 0 at the origin.
+    pub ray: (DVec3, DVec3),
     pub start: Vec3,
     pub direction: Vec3,
     pub enter: f32,
@@ -172,16 +186,31 @@ impl ConeWalk<'_> {
         if length > 0.0 { distance / length } else { distance * self.instance.stretch[0] }
     }
 
-    /// The smallest clearance of a free axis in radii, at most `x_known`, and whether the steps prove that the axis is
-    /// free. The shortest step, half a voxel, may cross a thin wall.
-    pub(crate) fn beside(&self, x_known: f32, steps: &mut u32) -> (f32, bool) {
-        let (mut x, mut is_free, mut is_proven) = (x_known, false, true);
-        let mut t = self.enter;
+    /// The smallest clearance of the axis in radii, at most `x_known`. If the axis enters the object, returns the
+    /// position of the entry as an error.
+    ///
+    /// Steps of the whole distance or less cannot cross the surface. The shortest step, half a voxel, may cross a thin
+    /// wall. Before the first step that is longer than the distance, `hit_from` traces the axis from the previous step.
+    pub(crate) fn beside(
+        &self,
+        x_known: f32,
+        steps: &mut u32,
+        mut hit_from: impl FnMut(f32) -> Option<f32>,
+    ) -> Result<f32, f32> {
+        let (mut x, mut is_free) = (x_known, false);
+        let (mut t, mut step) = (self.enter, 0.0f32);
         for _ in 0..MAX_CONE_STEPS {
             *steps += 1;
             let p = self.at(t);
             let radius = self.slope * t;
             let distance = self.field.distance(p);
+            let free = distance * self.pace;
+            if free < self.least_step && !is_free {
+                if let Some(t_hit) = hit_from(t - step) {
+                    return Err(t_hit);
+                }
+                is_free = true;
+            }
             if distance * self.instance.stretch[0] < x * radius {
                 let clear = self.across(self.field.distance_guess(p, distance).max(0.0), p);
                 x = x.min(clear / radius);
@@ -190,16 +219,46 @@ impl ConeWalk<'_> {
                 }
             }
             // Near a surface, half steps find the closest approach to 3 %.
-            let step = distance * self.pace;
-            is_proven &= step >= self.least_step;
-            let step = if step < 2.0 * radius { 0.5 * step } else { step };
-            t += step.max(self.least_step);
+            step = if free < 2.0 * radius { 0.5 * free } else { free }.max(self.least_step);
+            t += step;
             if t >= self.leave {
-                is_free = is_proven;
-                break;
+                return Ok(x);
             }
         }
-        (x, is_free)
+        let found = if is_free { None } else { hit_from(t - step) };
+        found.map_or(Ok(x), Err)
+    }
+
+    /// Whether the cone stays free of the object ([`Decision::Free`]), as [`Self::beside`] would find with `x_known` 1.
+    /// The walk ends at the first edge in the cone. `hit_from` traces the axis, as there.
+    pub(crate) fn decide(&self, steps: &mut u32, mut hit_from: impl FnMut(f32) -> Option<f32>) -> Decision {
+        let mut is_free = false;
+        let (mut t, mut step) = (self.enter, 0.0f32);
+        for _ in 0..MAX_CONE_STEPS {
+            *steps += 1;
+            let p = self.at(t);
+            let radius = self.slope * t;
+            let distance = self.field.distance(p);
+            let free = distance * self.pace;
+            let has_edge = distance * self.instance.stretch[0] < radius
+                && self.across(self.field.distance_guess(p, distance).max(0.0), p) / radius < 1.0;
+            if (has_edge || free < self.least_step) && !is_free {
+                if let Some(t_hit) = hit_from(t - step) {
+                    return Decision::Blocked(t_hit);
+                }
+                is_free = true;
+            }
+            if has_edge {
+                return Decision::Edge;
+            }
+            step = if free < 2.0 * radius { 0.5 * free } else { free }.max(self.least_step);
+            t += step;
+            if t >= self.leave {
+                return Decision::Free;
+            }
+        }
+        let found = if is_free { None } else { hit_from(t - step) };
+        found.map_or(Decision::Free, Decision::Blocked)
     }
 
     /// The smallest clearance of a wide cone of occlusion in radii, at most 1. If the axis enters the object, returns

@@ -10,7 +10,7 @@ use super::device_meshes::DeviceMeshes;
 use super::far::Far;
 use super::field::Field;
 use super::kinds::GeometryKinds;
-use super::light_rays::{LightRay, LightWork, SurfacePoint};
+use super::light_rays::{LightCone, LightRay, LightWork, SurfacePoint};
 use super::occlusion::Occluders;
 use super::shadow::Casters;
 use super::{Instance, Scene};
@@ -262,8 +262,13 @@ impl DeviceScene {
                 casters.gather(&place, ray.t_max, &mut occluders);
                 answer.value = casters.wide_share(&place, &ray, &mut occluders, &mut work);
             } else if beam.slope > 0.0 {
-                let cone = casters.whole_cone(&place, &ray, beam.slope, &mut Vec::new(), &mut work);
-                (answer.value, answer.is_proven) = (cone.share, u32::from(cone.is_proven));
+                let cone = LightCone { place: &place, ray: &ray, slope: beam.slope };
+                if beam.is_coarse == 0 {
+                    let whole = casters.whole_cone(cone, &mut Vec::new(), &mut work);
+                    (answer.value, answer.is_proven) = (whole.share, u32::from(whole.is_proven));
+                } else {
+                    answer.value = casters.cone_share(cone, &casters.instances_in(cone), &mut work);
+                }
             } else {
                 answer.value = casters.field_share(&place, &ray, &mut work);
             }

@@ -17,6 +17,10 @@
 //! occluder covers it. The remaining surfaces, in penumbrae and in the shade of thin objects, are evaluated by
 //! [`PARTS`] narrow cones that divide the disc evenly, in which edges are straight enough.
 //!
+//! Steps of the stored distance also prove that the axis is free. Only where they become shorter than half a voxel, or
+//! an edge appears, is the rest of the axis traced exactly. So soft shadows need a field that nowhere exceeds the
+//! distance to its surface by more than a fraction of a voxel. Hard shadows are exact for any values.
+//!
 //! If the axis itself is blocked, the depth inside gives the distance of the edge only if there is an edge: the middle
 //! of a thin wall is as shallow as its rim. Rays just beyond the presumed edge are therefore evaluated, in
 //! [`EDGE_DIRECTIONS`](crate::gpu::constants::scene_beams::EDGE_DIRECTIONS) around the axis. The edge counts in
@@ -28,7 +32,7 @@
 //! voxel: the ray starts a number of voxels off the surface. No constant is in world units, so the scale of the scene
 //! has no effect. Other instances touch the surface without a gap.
 
-use super::cone::{Cone, ConeShare, ConeSum, ConeWalk, RayPast, WideCone};
+use super::cone::{Cone, ConeShare, ConeSum, ConeWalk, Decision, RayPast, WideCone};
 use super::far::{Far, FarLevel, Split};
 use super::field::{Field, FieldHit, FieldRay};
 use super::light_rays::{LightCone, LightRay, LightWork, PARTS, SurfacePoint, basis, clip, disc_point, toward, widest};
@@ -79,25 +83,17 @@ impl<'a> Casters<'a> {
         share
     }
 
-    /// Fraction of a cone's section that passes, and whether it is proven: completely lit or dark. `met` becomes the
-    /// list of instances in the cone.
-    pub fn whole_cone(
-        &self,
-        place: &SurfacePoint,
-        ray: &LightRay,
-        slope: f32,
-        met: &mut Vec<u32>,
-        work: &mut LightWork,
-    ) -> ConeShare {
+    /// Decides whether a cone is completely lit or dark. Only then the result is proven, and its fraction is exact.
+    /// `met` becomes the list of instances in the cone.
+    pub fn whole_cone(&self, cone: LightCone<'_>, met: &mut Vec<u32>, work: &mut LightWork) -> ConeShare {
+        let LightCone { place, ray, slope } = cone;
         met.clear();
-        let cone = LightCone { place, ray, slope };
         let split = self.split(place, ray, slope);
         let mut sum = ConeSum::NEW;
-        let line = Line::cone(place.p.as_vec3(), ray.direction.as_vec3(), slope);
-        self.scene.tree.walk(&line, self.reach(&split, ray), |item, limit| {
+        self.walk(cone, &split, |item, limit| {
             let mut x = 1.0f32;
             for caster in self.casters(item, place, ray, &split) {
-                x = x.min(self.add_cone(&caster, cone, 1.0, None, &mut sum, work).x);
+                x = x.min(self.decide_cone(&caster, cone, &mut sum, work).x);
             }
             if x < 1.0 {
                 met.push(item);
@@ -107,7 +103,7 @@ impl<'a> Casters<'a> {
         let is_far = split.far.is_some() && !sum.opaque.is_covered;
         if is_far {
             for far in self.far_casters(&split, place, ray) {
-                self.add_cone(&far, cone, 1.0, None, &mut sum, work);
+                self.decide_cone(&far, cone, &mut sum, work);
                 if sum.opaque.is_covered {
                     break;
                 }
@@ -115,6 +111,15 @@ impl<'a> Casters<'a> {
         }
         work.count(is_far);
         sum.share()
+    }
+
+    /// Calls `visit` with the instances whose boxes a cone touches, near ones first, as [`super::tree::Tree::walk`]
+    /// does.
+    fn walk(&self, cone: LightCone<'_>, split: &Split, mut visit: impl FnMut(u32, f32) -> f32) {
+        let line = Line::cone(cone.place.p.as_vec3(), cone.ray.direction.as_vec3(), cone.slope);
+        self.scene.tree.walk(&line, self.reach(split, cone.ray), |item, limit| {
+            if line.touches(&self.scene.boxes[item as usize], limit) { visit(item, limit) } else { limit }
+        });
     }
 
     /// Adds the far field to the results of a cone; `wide` is set for a cone of occlusion. Returns whether the far
@@ -151,19 +156,50 @@ impl<'a> Casters<'a> {
         sum: &mut ConeSum,
         work: &mut LightWork,
     ) -> Cone {
-        let LightCone { place, ray, slope } = cone;
-        work.steps += 1;
-        if caster.field.prefers_rays() {
-            if !may_meet(caster, place, ray, slope) {
-                return Cone::FREE;
-            }
-            sum.thin.block(caster.instance.shade, ray, slope, |thin| self.hit_of(caster, place, thin, work).is_some());
-            return Cone { x: 0.0, is_covered: false };
+        if let Some(found) = self.add_thin(caster, cone, sum, work) {
+            return found;
         }
         let found = match wide {
             Some(wide) => self.wide_cone_past(caster, cone, wide, x_known, work),
             None => self.cone_past(caster, cone, x_known, work),
         };
+        sum.add(caster.instance, found);
+        found
+    }
+
+    /// Adds an occluder that is tested by thin rays. `None` for all others.
+    fn add_thin(
+        &self,
+        caster: &Caster<'_>,
+        LightCone { place, ray, slope }: LightCone<'_>,
+        sum: &mut ConeSum,
+        work: &mut LightWork,
+    ) -> Option<Cone> {
+        work.steps += 1;
+        if !caster.field.prefers_rays() {
+            return None;
+        }
+        if !may_meet(caster, place, ray, slope) {
+            return Some(Cone::FREE);
+        }
+        sum.thin.block(caster.instance.shade, ray, slope, |thin| self.hit_of(caster, place, thin, work).is_some());
+        Some(Cone { x: 0.0, is_covered: false })
+    }
+
+    /// Adds one occluder to the results of a cone to the whole light. The edge is known only as -1, 0 or 1 radii: the
+    /// occluder covers the cone, leaves it free, or neither.
+    fn decide_cone(&self, caster: &Caster<'_>, cone: LightCone<'_>, sum: &mut ConeSum, work: &mut LightWork) -> Cone {
+        if let Some(found) = self.add_thin(caster, cone, sum, work) {
+            return found;
+        }
+        let Some(walk) = cone_walk(caster, cone, 1.0) else { return Cone::FREE };
+        let mut steps = 0;
+        let found = match walk.decide(&mut steps, |from| self.walk_hit(caster, &walk, from, work)) {
+            Decision::Free => Cone::FREE,
+            Decision::Blocked(t) if walk.inside(t, None, &mut steps).0 <= -1.0 => Cone::COVERED,
+            _ => Cone { x: 0.0, is_covered: false },
+        };
+        work.steps += steps;
         sum.add(caster.instance, found);
         found
     }
@@ -179,7 +215,7 @@ impl<'a> Casters<'a> {
             return 0.0;
         }
         let mut met = Vec::new();
-        let whole = self.whole_cone(place, ray, slope, &mut met, work);
+        let whole = self.whole_cone(LightCone { place, ray, slope }, &mut met, work);
         if whole.is_proven {
             return whole.share * sheets_share;
         }
@@ -190,22 +226,37 @@ impl<'a> Casters<'a> {
         for (i, sheets_part) in (0..PARTS).zip(past_sheets) {
             let to_part = toward(ray, axes, slope, disc_point(i, PARTS, 0.0));
             let cone = LightCone { place, ray: &to_part, slope: part };
-            let split = self.split(place, &to_part, part);
-            let mut sum = ConeSum::NEW;
-            for &item in &met {
-                let x_known = sum.x_known(&self.scene.instances[item as usize]);
-                for caster in self.casters(item, place, &to_part, &split) {
-                    self.add_cone(&caster, cone, x_known, None, &mut sum, work);
-                }
-                if sum.opaque.x <= -1.0 {
-                    break;
-                }
-            }
-            let is_far = self.add_far(&split, cone, None, &mut sum, work);
-            work.count(is_far);
-            total += sum.share().share * sheets_part;
+            total += self.cone_share(cone, &met, work) * sheets_part;
         }
         total / PARTS as f32
+    }
+
+    /// The instances whose boxes a cone touches.
+    pub fn instances_in(&self, cone: LightCone<'_>) -> Vec<u32> {
+        let mut met = Vec::new();
+        self.walk(cone, &self.split(cone.place, cone.ray, cone.slope), |item, limit| {
+            met.push(item);
+            limit
+        });
+        met
+    }
+
+    /// Fraction of a narrow cone's section that passes some instances and the far field.
+    pub fn cone_share(&self, cone: LightCone<'_>, met: &[u32], work: &mut LightWork) -> f32 {
+        let split = self.split(cone.place, cone.ray, cone.slope);
+        let mut sum = ConeSum::NEW;
+        for &item in met {
+            let x_known = sum.x_known(&self.scene.instances[item as usize]);
+            for caster in self.casters(item, cone.place, cone.ray, &split) {
+                self.add_cone(&caster, cone, x_known, None, &mut sum, work);
+            }
+            if sum.opaque.x <= -1.0 {
+                break;
+            }
+        }
+        let is_far = self.add_far(&split, cone, None, &mut sum, work);
+        work.count(is_far);
+        sum.share().share
     }
 
     /// [`Self::disc_share`] by `count` thin rays.
@@ -233,8 +284,7 @@ impl<'a> Casters<'a> {
     fn pass_ray(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> (f32, bool) {
         let split = self.split(place, ray, 0.0);
         let mut share = 1.0;
-        let line = Line::new(place.p.as_vec3(), ray.direction.as_vec3());
-        self.scene.tree.walk(&line, self.reach(&split, ray), |item, limit| {
+        self.walk(LightCone { place, ray, slope: 0.0 }, &split, |item, limit| {
             for caster in self.casters(item, place, ray, &split) {
                 work.steps += 1;
                 if self.hit_of(&caster, place, ray, work).is_some() {
@@ -313,29 +363,28 @@ impl<'a> Casters<'a> {
         from: f64,
         work: &mut LightWork,
     ) -> Option<FieldHit> {
-        let (origin, direction) = ray_in_field(caster.instance, caster.is_own, place, ray);
-        let [lower, upper] = caster.field.surface_bounds();
-        let mut first_hit = |from: f64| {
-            let (enter, leave) = clip(origin, direction, lower, upper, from, caster.part[1])?;
-            let start = FieldRay { origin: (origin + enter * direction).as_vec3(), direction: direction.as_vec3() };
-            let (hit, taken) = caster.field.first_hit(&start, (leave - enter) as f32);
-            work.steps += taken;
-            hit.map(|hit| FieldHit { t: hit.t + enter as f32, ..hit })
-        };
-        match first_hit(from)? {
-            hit if hit.at_start && caster.skip > 0.0 => first_hit(caster.part[0] + caster.skip),
-            hit => Some(hit),
-        }
+        let in_field = ray_in_field(caster.instance, caster.is_own, place, ray);
+        hit_in_field(caster, in_field, from, work)
+    }
+
+    /// The position at which the axis of a cone enters an occluder at `from` or later, where the walk has found no
+    /// surface before.
+    fn walk_hit(&self, caster: &Caster<'_>, walk: &ConeWalk<'_>, from: f32, work: &mut LightWork) -> Option<f32> {
+        // If an occluder is entered at its first point, the length to skip is measured from there.
+        let from = if caster.skip > 0.0 { caster.part[0] } else { f64::from(from) };
+        hit_in_field(caster, walk.ray, from, work).map(|hit| hit.t)
     }
 
     /// Evaluates a cone of radius `slope t` past one occluder. Only edges closer to the axis than `x_known` are
     /// relevant.
     fn cone_past(&self, caster: &Caster<'_>, cone: LightCone<'_>, x_known: f32, work: &mut LightWork) -> Cone {
         let Some(walk) = cone_walk(caster, cone, x_known) else { return Cone::FREE };
-        match self.hit_of(caster, cone.place, cone.ray, work) {
-            Some(t) => self.blocked_cone(caster, &walk, t, cone, None, work),
-            None if x_known <= 0.0 => Cone::FREE,
-            None => Cone { x: walk.beside(x_known, &mut work.steps).0, is_covered: false },
+        let mut steps = 0;
+        let found = walk.beside(x_known, &mut steps, |from| self.walk_hit(caster, &walk, from, work));
+        work.steps += steps;
+        match found {
+            Ok(x) => Cone { x, is_covered: false },
+            Err(t) => self.blocked_cone(caster, &walk, t, cone, None, work),
         }
     }
 
@@ -350,7 +399,7 @@ impl<'a> Casters<'a> {
     ) -> Cone {
         let Some(walk) = cone_walk(caster, cone, 1.0) else { return Cone::FREE };
         let mut steps = 0;
-        let hit_from = |from| self.hit_from(caster, cone.place, cone.ray, f64::from(from), work).map(|hit| hit.t);
+        let hit_from = |from| hit_in_field(caster, walk.ray, f64::from(from), work).map(|hit| hit.t);
         let found = walk.beside_wide(wide, x_known, &mut steps, hit_from);
         work.steps += steps;
         match found {
@@ -372,7 +421,7 @@ impl<'a> Casters<'a> {
         let ray = cone.ray;
         let deepest = walk.inside(t_hit, wide.map(|wide| &wide.ball), &mut work.steps);
         if deepest.0 <= -1.0 {
-            return Cone { x: -1.0, is_covered: true };
+            return Cone::COVERED;
         }
         let axes = basis(ray.direction).map(|axis| axis.as_vec3());
         let (rays, count) = walk.rays_past(deepest, axes, &mut work.steps);
@@ -443,13 +492,35 @@ impl<'a> Casters<'a> {
     /// `x_known` need not be exact.
     fn clearance_beside(&self, caster: &Caster<'_>, cone: LightCone<'_>, x_known: f32, work: &mut LightWork) -> f32 {
         work.steps += 1;
-        let walk = cone_walk(caster, cone, x_known);
-        let (clearance, is_free) = match walk.filter(|_| !caster.field.prefers_rays()) {
-            Some(walk) => walk.beside(x_known, &mut work.steps),
-            None => (1.0, !caster.field.prefers_rays()),
-        };
-        let is_hit = !is_free && clearance > 0.0 && self.hit_of(caster, cone.place, cone.ray, work).is_some();
-        if is_hit { 0.0 } else { clearance }
+        if caster.field.prefers_rays() {
+            return if self.hit_of(caster, cone.place, cone.ray, work).is_some() { 0.0 } else { 1.0 };
+        }
+        let Some(walk) = cone_walk(caster, cone, x_known) else { return 1.0 };
+        let mut steps = 0;
+        let found = walk.beside(x_known, &mut steps, |from| self.walk_hit(caster, &walk, from, work));
+        work.steps += steps;
+        found.unwrap_or(0.0)
+    }
+}
+
+/// The first hit of a ray in field space with an occluder, at `from` or later. All positions are in scene units.
+fn hit_in_field(
+    caster: &Caster<'_>,
+    (origin, direction): (DVec3, DVec3),
+    from: f64,
+    work: &mut LightWork,
+) -> Option<FieldHit> {
+    let [lower, upper] = caster.field.surface_bounds();
+    let mut first_hit = |from: f64| {
+        let (enter, leave) = clip(origin, direction, lower, upper, from, caster.part[1])?;
+        let start = FieldRay { origin: (origin + enter * direction).as_vec3(), direction: direction.as_vec3() };
+        let (hit, taken) = caster.field.first_hit(&start, (leave - enter) as f32);
+        work.steps += taken;
+        hit.map(|hit| FieldHit { t: hit.t + enter as f32, ..hit })
+    };
+    match first_hit(from)? {
+        hit if hit.at_start && caster.skip > 0.0 => first_hit(caster.part[0] + caster.skip),
+        hit => Some(hit),
     }
 }
 
@@ -473,6 +544,7 @@ fn cone_walk<'a>(
     Some(ConeWalk {
         field,
         instance,
+        ray: (origin, direction),
         // From the entry on, float32 is sufficient.
         start: (origin + enter * direction).as_vec3(),
         direction: direction.as_vec3(),

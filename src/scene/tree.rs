@@ -69,6 +69,12 @@ impl Line {
         self.clip(min, max, grown, t_max)
     }
 
+    /// Whether a cone or a ray may intersect a box before `t_max`.
+    #[inline]
+    pub fn touches(&self, bounds: &Aabb, t_max: f32) -> bool {
+        self.span(bounds.min - MARGIN, bounds.max + MARGIN, t_max).is_some()
+    }
+
     /// Whether a ray may intersect a box before `t_max`.
     pub fn meets(&self, bounds: &Aabb, t_max: f32) -> bool {
         self.clip(bounds.min, bounds.max, MARGIN, t_max).is_some()

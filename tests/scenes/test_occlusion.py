@@ -1,4 +1,4 @@
-"""Ambient occlusion: its cost compared with soft shadows, and walls that wide cones must not pass."""
+"""Ambient occlusion: its cost, and walls that wide cones must not pass."""
 
 from __future__ import annotations
 
@@ -29,20 +29,19 @@ def crowd(count: int) -> fb.Scene:
     return fb.Scene([*instances, plane(2 * side)], lights=[fb.DirectionalLight((-1, -2, -0.6), angle_deg=1.5)])
 
 
-# Cones that walk the tree one by one at every pixel take 21 times the steps of soft shadows at 10 instances, and 40
-# times at 60. Half of that is the limit.
-@pytest.mark.parametrize(("count", "limit"), [(10, 10), (60, 20)])
+# Cones that walk the tree one by one at every pixel take 36 steps per pixel at 10 instances, and 310 at 60. Half of
+# that is the limit.
+@pytest.mark.parametrize(("count", "limit"), [(10, 18), (60, 155)])
 def test_occlusion_takes_few_steps(count: int, limit: int) -> None:
     scene = crowd(count)
     steps = {}
     for name, options in {
         "none": {"shadows": "none"},
-        "soft": {"shadows": "soft"},
         "open": {"shadows": "none", "ambient_occlusion": True},
     }.items():
         steps[name] = fb.render(scene, CAMERA, size=(120, 90), device="cpu", **options).steps.mean()
     # The steps of the light pass alone: those of the first pass are subtracted.
-    assert steps["open"] - steps["none"] <= limit * (steps["soft"] - steps["none"])
+    assert steps["open"] - steps["none"] <= limit
 
 
 @pytest.mark.parametrize("thickness", [0.3, 0.05])
