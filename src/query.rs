@@ -23,6 +23,7 @@ mod outer;
 mod ray_list;
 mod rays;
 mod self_intersections;
+mod side_grid;
 mod surface;
 mod thickness;
 

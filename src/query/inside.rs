@@ -1,27 +1,60 @@
 //! The side and the winding number of points, without distances.
 
-use super::{answer_in_order, check_points, prepare};
+use super::side_grid::SideGrid;
+use super::{CHUNK, answer_in_order, check_points, prepare};
 use crate::error::Error;
 use crate::gpu::Place;
+use crate::memory::zeroed_result;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::sign::{SignMethod, SignRule};
+use glam::DVec3;
+use rayon::prelude::*;
 
 /// Whether each world position is inside.
+///
+/// Many points are decided by the cells of a grid ([`SideGrid`]), the others along the curve.
 pub fn contains(mesh: &Mesh, points: &[[f64; 3]], method: SignMethod, progress: &Progress) -> Result<Vec<bool>, Error> {
     check_points(mesh, points)?;
     let choice = prepare(mesh, method);
+    let Some(grid) = SideGrid::new(mesh, &choice.rule, points.len()) else {
+        return contains_each(mesh, points, &choice.rule, progress);
+    };
+    let mut inside: Vec<bool> = zeroed_result(points.len());
+    let parts = inside.par_chunks_mut(CHUNK).zip(points.par_chunks(CHUNK)).enumerate();
+    let rows = parts
+        .map(|(part, (inside, points))| {
+            let mut rows = Vec::new();
+            for (i, (inside, &point)) in inside.iter_mut().zip(points).enumerate() {
+                match grid.side(mesh.local_from_world(DVec3::from_array(point))) {
+                    Some(side) => *inside = side,
+                    None => rows.push((part * CHUNK + i) as u32),
+                }
+            }
+            progress.check().map(|()| rows)
+        })
+        .collect::<Result<Vec<Vec<u32>>, _>>()?;
+    drop(grid);
+    let rows = rows.concat();
+    let others: Vec<[f64; 3]> = rows.par_iter().map(|&row| points[row as usize]).collect();
+    let sides = contains_each(mesh, &others, &choice.rule, progress)?;
+    rows.into_iter().zip(sides).for_each(|(row, side)| inside[row as usize] = side);
+    Ok(inside)
+}
+
+/// [`contains`] of points that each need a search.
+fn contains_each(mesh: &Mesh, points: &[[f64; 3]], rule: &SignRule, progress: &Progress) -> Result<Vec<bool>, Error> {
     let bounds = mesh.bvh().bounds;
     let (lower, upper) = (bounds.min.as_dvec3(), bounds.max.as_dvec3());
     let closed = mesh.topology().closed;
-    if closed && matches!(choice.rule, SignRule::Counted(_)) {
+    if closed && matches!(rule, SignRule::Counted(_)) {
         mesh.ray_packs();
     }
     let answers = answer_in_order(&Place::Cpu, mesh, points, progress, |walk, p, row| {
-        match &choice.rule {
+        match rule {
             SignRule::Pseudonormal | SignRule::Normal => {
                 let closest = walk.closest_point(p, row);
-                walk.is_inside(&choice.rule, p, &closest)
+                walk.is_inside(rule, p, &closest)
             }
             // No point outside the box of a closed surface is inside.
             SignRule::Counted(_) if closed && (p.cmplt(lower).any() || p.cmpgt(upper).any()) => false,

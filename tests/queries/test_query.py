@@ -233,10 +233,12 @@ def test_closed_meshes_and_unsigned_queries_do_not_warn():
     fb.closest_point(meshes.open_box(), [(0, 0, 0)])
 
 
+@pytest.mark.parametrize("count", [800, 40_000])
 @pytest.mark.parametrize("name", ZOO)
-def test_contains_is_the_side_of_the_signed_distance(name):
+def test_contains_is_the_side_of_the_signed_distance(name, count):
+    # Many points are decided by the cells of a grid.
     geometry = ZOO[name]()
-    points = meshes.points_around(geometry, 800)
+    points = meshes.points_around(geometry, count)
 
     assert np.array_equal(fb.contains(geometry, points), fb.signed_distance(geometry, points) < 0)
 
