@@ -153,6 +153,9 @@ impl ConeSum {
     }
 }
 
+/// Largest number of steps of a proof for a tile. Longer walks prove little.
+const MAX_TILE_STEPS: u32 = 32;
+
 /// One cone past one instance, in its field space.
 pub(crate) struct ConeWalk<'a> {
     pub field: &'a dyn Field,
@@ -170,7 +173,52 @@ pub(crate) struct ConeWalk<'a> {
     pub least_step: f32,
 }
 
+impl<'a> ConeWalk<'a> {
+    /// A walk along the ray `axis` in field space, whose part from `enter` to `leave` passes the object; `direction` is
+    /// its unit direction in the scene. All positions are in scene units.
+    pub(crate) fn new(
+        field: &'a dyn Field,
+        instance: &'a Instance,
+        axis: (DVec3, DVec3),
+        [enter, leave]: [f64; 2],
+        direction: DVec3,
+        slope: f32,
+    ) -> Self {
+        Self {
+            field,
+            instance,
+            ray: axis,
+            // From the entry on, float32 is sufficient.
+            start: (axis.0 + enter * axis.1).as_vec3(),
+            direction: axis.1.as_vec3(),
+            enter: enter as f32,
+            leave: leave as f32,
+            slope,
+            pace: 1.0 / (instance.local_from_scene * direction.as_vec3()).length(),
+            least_step: 0.5 / axis.1.length() as f32,
+        }
+    }
+}
+
 impl ConeWalk<'_> {
+    /// Whether distances prove that no surface comes within `radius + slope t` of the axis. A ball around a point of
+    /// the axis is free up to the distance there, less half a voxel for a stored field.
+    pub(crate) fn is_free_of(&self, radius: f32) -> bool {
+        let mut t = self.enter;
+        for _ in 0..MAX_TILE_STEPS {
+            let clear = self.field.distance(self.at(t)) * self.instance.stretch[0];
+            let step = (clear - radius - self.slope * t) / (1.0 + self.slope);
+            if step < self.least_step || step.is_nan() {
+                return false;
+            }
+            t += step;
+            if t >= self.leave {
+                return true;
+            }
+        }
+        false
+    }
+
     fn at(&self, t: f32) -> Vec3 {
         self.start + (t - self.enter) * self.direction
     }

@@ -14,11 +14,12 @@ use super::bounces::Bounces;
 use super::device_beams::evaluate_by_beams;
 use super::device_light::light_faces;
 use super::gbuffer::GBuffer;
-use super::light_buffer::{LightBuffer, parts_of};
+use super::light_buffer::{LightBuffer, LightRow, parts_of};
 use super::light_rays::LightWork;
 use super::lit_surface::{Lights, LitSurface};
 use super::occlusion::Occluders;
 use super::pass::Pass;
+use super::tile::{TILE, Tiles};
 use super::upsampling::gather;
 use crate::error::Error;
 use rayon::prelude::*;
@@ -141,31 +142,58 @@ fn evaluate(
         return evaluate_by_beams(pass, device, known, wanted, worth);
     }
     let (lights, stride) = (known.lights, known.stride);
-    known.rows.par_iter_mut().enumerate().try_for_each(|(y, row)| {
-        let (mut total, mut occluders) = (LightWork::default(), Occluders::default());
-        for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
-            if !row.is_known[i] && wanted(layer.x, y as u32) {
-                let surface = LitSurface::new(pass.casters.scene, pass.buffer, y, layer);
-                let values = &mut row.values[i * stride..][..stride];
-                let work = match pass.bounces {
-                    Some(bounces) => {
-                        let mut work = LightWork::default();
-                        // Neighbours with another material interpolate the light of surfaces without lighting too.
-                        values.copy_from_slice(&bounces.light_on(&surface.place, &mut work).to_array());
-                        pass.progress.check()?;
-                        work
-                    }
-                    None => {
-                        let mut found = parts_of(values, lights);
-                        surface.look(pass.casters, pass.lights, pass.options, &mut occluders, &mut found)
-                    }
-                };
-                row.work[i] = work;
-                total += work;
-                row.is_known[i] = true;
+    let is_shared = Tiles::are_useful(pass);
+    known.rows.par_chunks_mut(TILE).enumerate().try_for_each(|(band, rows)| {
+        let first = band * TILE;
+        let mut tiles = Tiles::new(pass, [first as u32, (first + rows.len() - 1) as u32]);
+        let lines = || first..first + TILE;
+        if is_shared {
+            for (y, row) in lines().zip(&*rows) {
+                let layers = pass.buffer.rows[y].iter().zip(&row.is_known);
+                layers
+                    .filter(|(layer, known)| !**known && wanted(layer.x, y as u32))
+                    .for_each(|(layer, _)| tiles.add(layer));
             }
         }
-        pass.counters.add(total);
-        pass.progress.advance(worth)
+        for (y, row) in lines().zip(rows) {
+            evaluate_row(pass, &mut tiles, (y, row), wanted, [lights, stride])?;
+            pass.progress.advance(worth)?;
+        }
+        Ok(())
     })
+}
+
+/// Evaluates the missing light at the requested pixels of row `y`.
+fn evaluate_row(
+    pass: &Pass<'_>,
+    tiles: &mut Tiles<'_>,
+    (y, row): (usize, &mut LightRow),
+    wanted: &(dyn Fn(u32, u32) -> bool + Sync),
+    [lights, stride]: [usize; 2],
+) -> Result<(), Error> {
+    let (mut total, mut occluders) = (LightWork::default(), Occluders::default());
+    for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
+        if !row.is_known[i] && wanted(layer.x, y as u32) {
+            let surface = LitSurface::new(pass.casters.scene, pass.buffer, y, layer);
+            let values = &mut row.values[i * stride..][..stride];
+            let work = match pass.bounces {
+                Some(bounces) => {
+                    let mut work = LightWork::default();
+                    // Neighbours with another material interpolate the light of surfaces without lighting too.
+                    values.copy_from_slice(&bounces.light_on(&surface.place, &mut work).to_array());
+                    pass.progress.check()?;
+                    work
+                }
+                None => {
+                    let (mut found, near) = (parts_of(values, lights), tiles.occluders(layer));
+                    surface.look(pass.casters, near, pass.lights, pass.options, &mut occluders, &mut found)
+                }
+            };
+            row.work[i] = work;
+            total += work;
+            row.is_known[i] = true;
+        }
+    }
+    pass.counters.add(total);
+    Ok(())
 }

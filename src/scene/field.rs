@@ -18,6 +18,7 @@ use crate::render::blocks::{Blocks, DenseBlock};
 use crate::render::march::{GridRay, Marcher};
 use crate::volume::{Cell, FieldView, Trilinear, trilinear, trilinear_gradient};
 use glam::{DAffine3, DMat3, DVec3, IVec3, Vec3};
+use std::sync::OnceLock;
 
 /// A ray in field space: `origin + t direction`, with `t` in the unit of the caller.
 #[derive(Debug, Clone, Copy)]
@@ -89,6 +90,12 @@ pub trait Field: Send + Sync {
         false
     }
 
+    /// Whether stored values are known to change no faster than a distance, so that the ball around a point with the
+    /// radius of its value, less half a voxel, is free.
+    fn is_lipschitz(&self) -> bool {
+        false
+    }
+
     /// Whether cones are estimated by thin rays ([`super::thin`]): for objects without depth, and for those whose
     /// distances cost more than rays.
     fn prefers_rays(&self) -> bool {
@@ -130,6 +137,7 @@ pub struct SampledField<F> {
     last_point: Vec3,
     /// Position of the last cell between samples: positions are clamped to it before they select a cell.
     last_cell: Vec3,
+    is_lipschitz: OnceLock<bool>,
 }
 
 impl<F: Blocks> SampledField<F> {
@@ -141,7 +149,9 @@ impl<F: Blocks> SampledField<F> {
         let upper = (field.grid_from_world(inner[1]).as_vec3() + 1.0).clamp(Vec3::splat(-0.5), last_point);
         let spacing = field.grid().spacing().as_vec3();
         let last_cell = (last_point - 1.5).max(Vec3::ZERO);
-        Ok(Self { marcher: Marcher::new(field, progress)?, surface: [lower, upper], spacing, last_point, last_cell })
+        let marcher = Marcher::new(field, progress)?;
+        let is_lipschitz = OnceLock::new();
+        Ok(Self { marcher, surface: [lower, upper], spacing, last_point, last_cell, is_lipschitz })
     }
 
     pub fn marcher(&self) -> &Marcher<F> {
@@ -245,6 +255,10 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
         F::IS_LOOSE
     }
 
+    fn is_lipschitz(&self) -> bool {
+        *self.is_lipschitz.get_or_init(|| self.marcher.field.is_lipschitz())
+    }
+
     fn enter(&self, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
         F::enter(self, tables)?;
         Ok(true)
@@ -255,6 +269,11 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
 pub trait OnDevice: Sized {
     /// See [`Field::is_loose`].
     const IS_LOOSE: bool = false;
+
+    /// See [`Field::is_lipschitz`]. Each call may read all values.
+    fn is_lipschitz(&self) -> bool {
+        false
+    }
 
     /// Appends a field that is prepared for rays to the tables of a device.
     fn enter(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<(), DeviceError>;
@@ -283,7 +302,22 @@ impl DenseField {
     }
 }
 
+/// Largest difference of neighbouring samples of a distance, relative to the spacing: 1 and the rounding of samples.
+const LARGEST_SLOPE: f64 = 1.0 + 1.0 / 64.0;
+
 impl OnDevice for DenseField {
+    fn is_lipschitz(&self) -> bool {
+        let [nx, ny, _] = self.grid.shape;
+        let most = (LARGEST_SLOPE * self.grid.spacing()).as_vec3();
+        // Without early exits, so that the compiler uses vectors.
+        let agree = |a: &[f32], b: &[f32], most: f32| {
+            a.iter().zip(b).fold(true, |agree, (a, b)| agree & ((a - b).abs() <= most))
+        };
+        self.samples.chunks_exact(nx).all(|row| agree(row, &row[1..], most.x))
+            && self.samples.chunks_exact(nx * ny).all(|slice| agree(slice, &slice[nx..], most.y))
+            && agree(&self.samples, &self.samples[nx * ny..], most.z)
+    }
+
     fn enter(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<(), DeviceError> {
         tables.add_dense(field)
     }

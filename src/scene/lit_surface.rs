@@ -155,10 +155,12 @@ impl<'a> LitSurface<'a> {
         }
     }
 
-    /// Evaluates the light on the surface in the fields. Returns the work.
+    /// Evaluates the light on the surface in the fields. `near` has for each light the instances that may block it,
+    /// if they are known. Returns the work.
     pub fn look(
         &self,
         casters: &Casters<'_>,
+        near: Option<&[Vec<u32>]>,
         lights: &Lights,
         options: &RenderOptions,
         occluders: &mut Occluders,
@@ -171,9 +173,10 @@ impl<'a> LitSurface<'a> {
         };
         for (i, light) in lights.lights.iter().enumerate() {
             let (ray, slope, _) = light.seen_from(place.p);
+            let near = Casters { near: near.map(|near| &near[i][..]), ..*casters };
             found.shares[i] = self
                 .plain_share(&ray, options)
-                .unwrap_or_else(|| self.visible_share(casters, place, &ray, slope, options, &mut work));
+                .unwrap_or_else(|| self.visible_share(&near, place, &ray, slope, options, &mut work));
             found.through[i] = [0.0; 3];
             if self.scatters(scene) {
                 let ways = self.ways(&ray, slope, options.shadows);

@@ -59,6 +59,7 @@ pub(crate) mod shadow;
 pub(crate) mod sheets;
 pub(crate) mod texture;
 pub(crate) mod thin;
+mod tile;
 pub(crate) mod transmission;
 pub(crate) mod tree;
 pub(crate) mod triangles;

@@ -148,6 +148,10 @@ impl Field for NestedField {
         level.field.distance_guess(p, distance)
     }
 
+    fn is_lipschitz(&self) -> bool {
+        self.levels.iter().all(|level| level.field.is_lipschitz())
+    }
+
     fn gradient(&self, p: Vec3) -> Vec3 {
         let (level, p) = self.at(p);
         level.field.gradient(p)

@@ -124,7 +124,7 @@ fn draw(
     let finds = evaluation::find_count(options, passes);
     progress.set_total((u64::from(passes) + finds * evaluation::FIND_WORTH) * u64::from(options.size[1]));
 
-    let casters = Casters { scene, far };
+    let casters = Casters { scene, far, near: None };
     let light_device = device.filter(|device| device.knows_all());
     let lights = Lights::new(scene, options);
     let mut seconds = vec![("primary", 0.0), ("light", 0.0)];

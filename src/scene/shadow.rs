@@ -19,7 +19,8 @@
 //!
 //! Steps of the stored distance also prove that the axis is free. Only where they become shorter than half a voxel, or
 //! an edge appears, is the rest of the axis traced exactly. So soft shadows need a field that nowhere exceeds the
-//! distance to its surface by more than a fraction of a voxel. Hard shadows are exact for any values.
+//! distance to its surface by more than a fraction of a voxel. Hard shadows are exact for any values: tiles of pixels
+//! ([`super::tile`]) skip a field by its values only if those change no faster than a distance.
 //!
 //! If the axis itself is blocked, the depth inside gives the distance of the edge only if there is an edge: the middle
 //! of a thin wall is as shallow as its rim. Rays just beyond the presumed edge are therefore evaluated, in
@@ -49,6 +50,8 @@ use glam::DVec3;
 pub struct Casters<'a> {
     pub scene: &'a Scene,
     pub far: Option<&'a Far>,
+    /// The instances that may block the light that is evaluated, near ones first; `None` if all may.
+    pub near: Option<&'a [u32]>,
 }
 
 /// One occluder on an interval of a ray: an instance or a level of the far field.
@@ -117,9 +120,16 @@ impl<'a> Casters<'a> {
     /// does.
     fn walk(&self, cone: LightCone<'_>, split: &Split, mut visit: impl FnMut(u32, f32) -> f32) {
         let line = Line::cone(cone.place.p.as_vec3(), cone.ray.direction.as_vec3(), cone.slope);
-        self.scene.tree.walk(&line, self.reach(split, cone.ray), |item, limit| {
+        let mut pass = |item: u32, limit: f32| {
             if line.touches(&self.scene.boxes[item as usize], limit) { visit(item, limit) } else { limit }
-        });
+        };
+        let reach = self.reach(split, cone.ray);
+        match self.near {
+            None => self.scene.tree.walk(&line, reach, pass),
+            Some(near) => {
+                near.iter().try_fold(reach, |limit, &item| Some(pass(item, limit)).filter(|limit| *limit >= 0.0));
+            }
+        }
     }
 
     /// Adds the far field to the results of a cone; `wide` is set for a cone of occlusion. Returns whether the far
@@ -541,19 +551,7 @@ fn cone_walk<'a>(
     if caster.skip > 0.0 && field.distance((origin + enter * direction).as_vec3()) <= 0.0 {
         (enter, _) = clip_from(caster.part[0] + caster.skip)?;
     }
-    Some(ConeWalk {
-        field,
-        instance,
-        ray: (origin, direction),
-        // From the entry on, float32 is sufficient.
-        start: (origin + enter * direction).as_vec3(),
-        direction: direction.as_vec3(),
-        enter: enter as f32,
-        leave: leave as f32,
-        slope,
-        pace: 1.0 / (instance.local_from_scene * ray.direction.as_vec3()).length(),
-        least_step: 0.5 / direction.length() as f32,
-    })
+    Some(ConeWalk::new(field, instance, (origin, direction), [enter, leave], ray.direction, slope))
 }
 
 /// Distance by which a ray in the field of the own instance starts off the surface, scene units.

@@ -31,6 +31,8 @@ pub struct Line {
     spread: f32,
     /// Slope of the cone's side.
     slope: f32,
+    /// Radius of the cone at its start.
+    start_radius: f32,
 }
 
 /// Inverse of a zero component.
@@ -47,12 +49,17 @@ impl Line {
         let inverse = Vec3::new(inverse(direction.x), inverse(direction.y), inverse(direction.z));
         // A point of the box in the cone lies within `far` of the origin, and its projection onto the axis within
         // `far / (1 - slope)`.
-        Self { origin, inverse, spread: 0.0, slope: 0.0 }.with_slope(slope)
+        Self { origin, inverse, spread: 0.0, slope: 0.0, start_radius: 0.0 }.with_slope(slope)
     }
 
     /// A cone with the same axis and another slope.
     pub fn with_slope(self, slope: f32) -> Self {
         Self { spread: slope / (1.0 - slope.min(0.9)), slope, ..self }
+    }
+
+    /// The truncated cone that has the same slope, and a radius at its start.
+    pub fn with_start_radius(self, start_radius: f32) -> Self {
+        Self { start_radius, ..self }
     }
 
     /// The interval of the ray inside a box, with `t` not below 0; `None` if it misses.
@@ -62,9 +69,9 @@ impl Line {
         let grown = if self.spread > 0.0 {
             let far = (self.origin - min).abs().max((self.origin - max).abs()).length();
             // The cone is not wider than at its end either.
-            (self.spread * far).min(self.slope * t_max)
+            self.start_radius + (self.spread * (far + self.start_radius)).min(self.slope * t_max)
         } else {
-            0.0
+            self.start_radius
         };
         self.clip(min, max, grown, t_max)
     }
@@ -204,14 +211,14 @@ mod tests {
         #[test]
         fn no_box_is_missed(
             corners in prop::collection::vec((vector(), vector()), 1..60),
-            origin in vector(), direction in vector(), slope in 0.0..0.5f32
+            origin in vector(), direction in vector(), slope in 0.0..0.5f32, start in 0.0..0.3f32
         ) {
             prop_assume!(direction.length() > 0.01);
             let direction = direction.normalize();
             let boxes: Vec<Aabb> = corners.iter().map(|&(p, size)| Aabb { min: p, max: p + 0.2 * size.abs() }).collect();
             let tree = Tree::new(&boxes);
             let mut seen = vec![false; boxes.len()];
-            tree.walk(&Line::cone(origin, direction, slope), 10.0, |item, limit| {
+            tree.walk(&Line::cone(origin, direction, slope).with_start_radius(start), 10.0, |item, limit| {
                 seen[item as usize] = true;
                 limit
             });
@@ -221,7 +228,7 @@ mod tests {
                     let t = i as f32 * 0.005;
                     let p = origin + t * direction;
                     let nearest = p.clamp(bounds.min, bounds.max);
-                    nearest.distance(p) <= slope * t
+                    nearest.distance(p) <= start + slope * t
                 });
                 prop_assert!(seen || !met);
             }

@@ -282,6 +282,19 @@ def test_samples_share_the_light_that_pixels_found() -> None:
     assert smooth.steps.mean() < 1.01 * large.steps.mean()
 
 
+def test_hard_shadows_depend_on_the_surface_of_a_field_alone() -> None:
+    ball = fb.bake(fb.Mesh(*meshes.icosphere(4)), 32)
+    # Steps by such values would cross the ball. A factor of 4 keeps the bits of the surface.
+    steep = fb.Volume(4 * ball.distances, ball.bounds, inner_bounds=ball.inner_bounds)
+    camera = fb.Camera((2.5, 7.0, 5.0), (0.6, -1.0, 0.2), fov_deg=40)
+    frames = []
+    for field in (ball, steep):
+        scene = fb.Scene([fb.Instance(field, moved(y=0.6)), plane()], lights=[fb.DirectionalLight(SUN)])
+        frames.append(fb.render(scene, camera, size=(160, 120), shadows="hard", device="cpu"))
+    assert (frames[0].shadow[frames[0].object_id == 1] == 0).any()
+    assert np.array_equal(frames[0].shadow, frames[1].shadow)
+
+
 @pytest.mark.parametrize("shadows", ["hard", "soft"])
 def test_light_at_half_resolution_keeps_edges(shadows: str) -> None:
     light = fb.DirectionalLight(SUN, angle_deg=6)
