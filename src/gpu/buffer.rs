@@ -47,9 +47,16 @@ impl ReadBack {
         self.staging.size()
     }
 
-    /// Records the copy of a part of a buffer to the start of the memory.
-    pub(super) fn record(&self, encoder: &mut wgpu::CommandEncoder, from: &wgpu::Buffer, offset: u64, bytes: u64) {
-        encoder.copy_buffer_to_buffer(from, offset, &self.staging, 0, bytes);
+    /// Records the copy of a part of a buffer, from the offset `from_byte` to the offset `to_byte` of the memory.
+    pub(super) fn record(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        from: &wgpu::Buffer,
+        from_byte: u64,
+        to_byte: u64,
+        bytes: u64,
+    ) {
+        encoder.copy_buffer_to_buffer(from, from_byte, &self.staging, to_byte, bytes);
     }
 
     /// Requests the mapping of the copied bytes, after the submission of the copy.
@@ -188,7 +195,7 @@ impl Context {
             let submission = self.guarded(label, size, || {
                 let mut encoder =
                     self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
-                memory.record(&mut encoder, buffer, offset, size);
+                memory.record(&mut encoder, buffer, offset, 0, size);
                 let submission = self.submit(Some(encoder.finish()));
                 memory.map(size);
                 submission

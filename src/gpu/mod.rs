@@ -23,6 +23,7 @@ pub(crate) mod raster;
 pub(crate) mod shader;
 pub(crate) mod table;
 pub(crate) mod texture;
+pub(crate) mod timer;
 
 #[cfg(test)]
 pub(crate) mod tests;

@@ -3,6 +3,7 @@
 use super::buffer::ReadBack;
 use super::context::Context;
 use super::shader::{Instead, source_instead};
+use super::timer::Timer;
 use crate::error::DeviceError;
 use std::collections::HashMap;
 use std::num::NonZeroU64;
@@ -31,15 +32,17 @@ enum Written {
 
 /// The invocations of one kernel in a submission.
 #[derive(Debug, Clone)]
-pub struct Dispatch<'a> {
+pub(crate) struct Dispatch<'a> {
     pub pipeline: &'a wgpu::ComputePipeline,
     pub group: &'a wgpu::BindGroup,
     pub size: DispatchSize<'a>,
+    /// The stage to which its time counts.
+    pub stage: &'static str,
 }
 
 /// Number of workgroups of a dispatch.
 #[derive(Debug, Clone, Copy)]
-pub enum DispatchSize<'a> {
+pub(crate) enum DispatchSize<'a> {
     Known([u32; 3]),
     /// Three words in device memory at an offset in bytes.
     At(&'a wgpu::Buffer, u64),
@@ -260,28 +263,38 @@ impl Context {
     /// Queues one dispatch.
     pub fn dispatch(
         &self,
-        label: &str,
+        label: &'static str,
         pipeline: &wgpu::ComputePipeline,
         group: &wgpu::BindGroup,
         workgroups: [u32; 3],
     ) -> Result<wgpu::SubmissionIndex, DeviceError> {
-        self.submit_all(label, &[Dispatch { pipeline, group, size: DispatchSize::Known(workgroups) }], None)
+        let dispatch = Dispatch { pipeline, group, size: DispatchSize::Known(workgroups), stage: label };
+        self.submit_all(label, &[dispatch], None, None)
     }
 
     /// Queues dispatches in order, in one submission, and then the copy of the first bytes of a buffer for the host.
-    pub fn submit_all(
+    /// With a timer, consecutive dispatches of one stage are one pass.
+    pub(crate) fn submit_all(
         &self,
         label: &str,
         dispatches: &[Dispatch<'_>],
         result: Option<(&wgpu::Buffer, u64, &ReadBack)>,
+        timer: Option<&Timer>,
     ) -> Result<wgpu::SubmissionIndex, DeviceError> {
         self.guarded(label, 0, || {
+            let first = timer.map_or(0, Timer::count);
             let mut encoder =
                 self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
-            {
-                let mut pass = encoder
-                    .begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some(label), timestamp_writes: None });
-                for Dispatch { pipeline, group, size } in dispatches {
+            for stage in dispatches.chunk_by(|a, b| timer.is_none() || a.stage == b.stage) {
+                let stamps = timer.and_then(|timer| timer.add(stage[0].stage));
+                let timestamp_writes = stamps.map(|(query_set, [start, end])| wgpu::ComputePassTimestampWrites {
+                    query_set,
+                    beginning_of_pass_write_index: start,
+                    end_of_pass_write_index: end,
+                });
+                let mut pass =
+                    encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some(label), timestamp_writes });
+                for Dispatch { pipeline, group, size, .. } in stage {
                     pass.set_pipeline(pipeline);
                     pass.set_bind_group(0, *group, &[]);
                     match *size {
@@ -291,7 +304,10 @@ impl Context {
                 }
             }
             if let Some((from, bytes, memory)) = result {
-                memory.record(&mut encoder, from, 0, bytes);
+                memory.record(&mut encoder, from, 0, 0, bytes);
+            }
+            if let Some(timer) = timer {
+                timer.record(&mut encoder, first);
             }
             let submission = self.submit(Some(encoder.finish()));
             if let Some((_, bytes, memory)) = result {

@@ -6,6 +6,7 @@
 use super::buffer::ReadBack;
 use super::context::Context;
 use super::shader::{Instead, source_instead};
+use super::timer::Timer;
 use crate::error::{DeviceError, Error};
 use crate::progress::Progress;
 use std::collections::HashMap;
@@ -37,7 +38,7 @@ pub struct RasterTarget {
 
 /// One draw call of a pass.
 #[derive(Debug)]
-pub struct Draw<'a> {
+pub(crate) struct Draw<'a> {
     pub pipeline: &'a wgpu::RenderPipeline,
     pub group: &'a wgpu::BindGroup,
     pub vertices: Range<u32>,
@@ -142,15 +143,18 @@ impl Context {
 
     /// Clears the target, draws, and reads back four words per pixel, zero where no fragment was drawn. After an error
     /// the target cannot be used again.
-    pub fn raster(
+    pub(crate) fn raster(
         &self,
-        label: &str,
+        label: &'static str,
         target: &RasterTarget,
         draws: &[Draw<'_>],
+        timer: Option<&Timer>,
         progress: &Progress,
     ) -> Result<Vec<[u32; 4]>, Error> {
         let [width, height] = target.size;
         let submission = self.guarded(label, 0, || {
+            let first = timer.map_or(0, Timer::count);
+            let stamps = timer.and_then(|timer| timer.add(label));
             let mut encoder =
                 self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(label) });
             {
@@ -173,7 +177,11 @@ impl Context {
                         }),
                         stencil_ops: None,
                     }),
-                    timestamp_writes: None,
+                    timestamp_writes: stamps.map(|(query_set, [start, end])| wgpu::RenderPassTimestampWrites {
+                        query_set,
+                        beginning_of_pass_write_index: start,
+                        end_of_pass_write_index: end,
+                    }),
                     occlusion_query_set: None,
                     multiview_mask: None,
                 });
@@ -196,7 +204,10 @@ impl Context {
                 },
                 target.seen.size(),
             );
-            target.result.record(&mut encoder, &target.rows, 0, target.rows.size());
+            target.result.record(&mut encoder, &target.rows, 0, 0, target.rows.size());
+            if let Some(timer) = timer {
+                timer.record(&mut encoder, first);
+            }
             let submission = self.submit(Some(encoder.finish()));
             target.result.map(target.rows.size());
             submission

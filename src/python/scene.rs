@@ -441,11 +441,13 @@ impl Renderer {
         let label = place.label();
         let places = [label.as_str(), "cpu"].into_iter().zip(rendered.primary_on).filter(|(_, used)| *used);
         images.set_item("primary_on", places.map(|(place, _)| place).collect::<Vec<_>>().join(" and "))?;
-        let seconds = PyDict::new(py);
-        for (stage, duration) in rendered.seconds {
-            seconds.set_item(stage, duration)?;
+        for (name, stages) in [("seconds", rendered.seconds), ("device_seconds", rendered.device_seconds)] {
+            let seconds = PyDict::new(py);
+            for (stage, duration) in stages {
+                seconds.set_item(stage, duration)?;
+            }
+            images.set_item(name, seconds)?;
         }
-        images.set_item("seconds", seconds)?;
         images.set_item("sheets", rendered.sheets)?;
         images.set_item("ray_count", rendered.rays)?;
         images.set_item("far_rays", rendered.far_rays)?;

@@ -22,6 +22,7 @@ use crate::gpu::layout::{Answer, BeamParams, SurfaceLight, SurfaceParams, TilePa
 use crate::gpu::pace::{Items, by_rate};
 use crate::gpu::pipeline::{BoundRange, Dispatch, DispatchSize, whole};
 use crate::gpu::shader::Instead;
+use crate::gpu::timer::Timer;
 use crate::progress::Progress;
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -232,9 +233,21 @@ struct FaceLight<'a> {
     rates: &'a Mutex<HashMap<[bool; 2], f64>>,
     kinds: [bool; 2],
     buffers: &'a Buffers,
+    timer: Option<&'a Timer>,
     /// Kernels of a bunch, and those of each round.
     bunch: Vec<Kernel>,
     round: Vec<Kernel>,
+}
+
+/// The stage to which the time of a kernel counts in reports.
+fn stage_of(kernel: &str) -> &'static str {
+    match kernel {
+        "next_tiles" | "surface_beams" | "count_beams" => "beams",
+        "rays of surfaces" => "rays",
+        "cones of surfaces" | "collect_discs" => "cones",
+        "cones at edges" | "join_parts" => "edges",
+        _ => "parts",
+    }
 }
 
 /// A kernel with its buffers.
@@ -242,6 +255,8 @@ struct Kernel {
     pipeline: wgpu::ComputePipeline,
     group: wgpu::BindGroup,
     size: Size,
+    /// The stage to which its time counts.
+    stage: &'static str,
 }
 
 /// Number of workgroups of a kernel: one, one for each tile of the bunch, or that of a stage.
@@ -266,7 +281,7 @@ impl<'a> FaceLight<'a> {
         let texts = device.texts();
         let kernel = |name, file, entry, texts: &[Instead], bindings: &[BoundRange<'_>], size| {
             let (pipeline, group) = device.kernel(name, file, entry, texts, bindings)?;
-            Ok::<_, Error>(Kernel { pipeline, group, size })
+            Ok::<_, Error>(Kernel { pipeline, group, size, stage: stage_of(name) })
         };
         let stages = |entry: &'static str, bindings: &[(u32, &wgpu::Buffer)]| {
             let bindings: Vec<_> = bindings.iter().copied().map(whole).collect();
@@ -317,7 +332,8 @@ impl<'a> FaceLight<'a> {
             let joined = [(9, beams), (10, answers), (13, discs), (14, part_answers)];
             round.push(surfaces("join_parts", of_discs, &joined)?);
         }
-        Ok(Self { context: device.context(), rates: &device.light_rates, kinds, buffers, bunch, round })
+        let timer = device.timer.as_ref();
+        Ok(Self { context: device.context(), rates: &device.light_rates, kinds, buffers, timer, bunch, round })
     }
 
     /// The answers for `count` places of tiles from `start` on, with `tile_answers` each and this mean cost.
@@ -350,7 +366,7 @@ impl<'a> FaceLight<'a> {
                 dispatches.extend(self.bunch.iter().chain(rounds).map(|kernel| kernel.dispatch(buffers, size as u32)));
             }
             let copy = (first + tiles == count).then_some((&buffers.answers, bytes, &result));
-            Ok(context.submit_all("the scene's light", &dispatches, copy)?)
+            Ok(context.submit_all("the scene's light", &dispatches, copy, self.timer)?)
         })?;
         rates().insert(self.kinds, found);
         context.finish("answers", &result, &mut answers)?;
@@ -366,7 +382,7 @@ impl Kernel {
             Size::Tiles => DispatchSize::Known([tiles, 1, 1]),
             Size::Stage(stage) => DispatchSize::At(&buffers.groups, u64::from(stage) * size_of::<[u32; 4]>() as u64),
         };
-        Dispatch { pipeline: &self.pipeline, group: &self.group, size }
+        Dispatch { pipeline: &self.pipeline, group: &self.group, size, stage: self.stage }
     }
 }
 

@@ -19,10 +19,11 @@ use crate::geometry::Aabb;
 use crate::gpu::Context;
 use crate::gpu::layout::{Answer, Beam, BeamParams, RasterInstance, SceneInstance, SceneNode};
 use crate::gpu::pace::in_groups_from;
-use crate::gpu::pipeline::{AnyPipeline, BindGroups, BoundRange, whole};
+use crate::gpu::pipeline::{AnyPipeline, BindGroups, BoundRange, Dispatch, DispatchSize, whole};
 use crate::gpu::raster::RasterTarget;
 use crate::gpu::shader::Instead;
 use crate::gpu::table::Table;
+use crate::gpu::timer::Timer;
 use crate::progress::Progress;
 use glam::{Mat3, Vec3};
 use std::collections::HashMap;
@@ -56,6 +57,8 @@ pub(crate) struct DeviceScene {
     /// Time for the light on a face by one light, s, by whether a picture has cones and whether it has rays.
     pub(super) light_rates: Mutex<HashMap<[bool; 2], f64>>,
     pub(super) groups: BindGroups,
+    /// Times of the stages of a frame, if the device has timestamps.
+    pub(super) timer: Option<Timer>,
     /// Memory of the primary pass.
     pub(super) raster: Mutex<RasterMemory>,
 }
@@ -156,6 +159,7 @@ impl DeviceScene {
             paces: Mutex::default(),
             light_rates: Mutex::default(),
             groups: BindGroups::default(),
+            timer: Timer::new(context)?,
             raster: Mutex::default(),
         })
     }
@@ -359,6 +363,7 @@ impl DeviceScene {
             return Ok(());
         }
         let context = &self.context;
+        let stage = if entry == "edge_cones" { "edges" } else { entry };
         let uniform = context.uniform("beam parameters", &params)?;
         let kernel = context.kernel_with("scene_beams", entry, &self.texts())?;
         let bindings = self.beam_bindings(entry, whole((0, &uniform)), beams, answers);
@@ -370,7 +375,8 @@ impl DeviceScene {
             (params.first, params.count) = (first, count);
             context.write("beam parameters", &uniform, 0, &[params])?;
             progress.check()?;
-            Ok(context.dispatch("scene_beams", &kernel, &group, workgroups)?)
+            let dispatch = Dispatch { pipeline: &kernel, group: &group, size: DispatchSize::Known(workgroups), stage };
+            Ok(context.submit_all("scene_beams", &[dispatch], None, self.timer.as_ref())?)
         })?;
         paces().insert(entry, size);
         Ok(())

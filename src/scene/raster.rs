@@ -192,9 +192,9 @@ fn seen_by_device(
     let size = [view.size[0], row_count];
     let target = match memory.target.take().filter(|target| target.size == size) {
         Some(target) => target,
-        None => context.raster_target("primary pass", size)?,
+        None => context.raster_target("primary", size)?,
     };
-    let seen = context.raster("primary pass", &target, &draws, progress)?;
+    let seen = context.raster("primary", &target, &draws, device.timer.as_ref(), progress)?;
     let (pixels, stride) = target.pixels();
     memory.target = Some(target);
     Ok((seen, DeviceSeen { pixels, stride, rows: rows_buffer, rays: band.ray }))

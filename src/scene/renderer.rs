@@ -65,9 +65,14 @@ impl Renderer {
         let start = Instant::now();
         let device = self.on_device(context, scene, far.as_ref())?;
         let upload = start.elapsed().as_secs_f64();
+        if let Some(timer) = &device.timer {
+            timer.start();
+        }
         let rendered = draw(scene, far.as_ref(), Some(&device), camera, options, progress);
+        let times = device.timer.as_ref().map(|timer| timer.finish(context));
         *self.slot() = Some(device);
         let mut rendered = rendered?;
+        rendered.device_seconds = times.transpose()?.unwrap_or_default();
         rendered.seconds.insert(0, ("upload", upload));
         Ok(rendered)
     }
@@ -98,6 +103,8 @@ pub struct Rendered {
     pub primary_on: [bool; 2],
     /// Duration of each stage by name: the upload of changes to a device, and the passes.
     pub seconds: Vec<(&'static str, f64)>,
+    /// Time of each stage on a device with timestamps: the primary pass, and the kernels of the light.
+    pub device_seconds: Vec<(&'static str, f64)>,
     /// Number of rays and cones to lights and surroundings.
     pub rays: u64,
     /// Number of rays and cones that entered the far field.
@@ -196,6 +203,7 @@ fn draw(
         sheets: scene.sheets.len(),
         is_lit_on_device: light_device.is_some(),
         seconds,
+        device_seconds: Vec::new(),
         rays: counters.rays.into_inner(),
         far_rays: counters.far_rays.into_inner(),
     })

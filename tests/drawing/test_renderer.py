@@ -106,6 +106,20 @@ def test_a_report_has_the_time_of_each_stage(scene, device) -> None:
     assert frame.report["seconds"] == pytest.approx(sum(stages.values()) / 1e3)
 
 
+def test_a_report_has_the_times_on_the_device(scene, device) -> None:
+    frame = fb.Renderer(scene, size=(64, 48), device=device).frame()
+    stages = frame.report["device_milliseconds"]
+    if device == "cpu":
+        assert stages == {}
+        return
+    if not stages and "llvmpipe" not in frame.report["device"]:
+        pytest.skip("the device has no timestamps")
+    assert {"primary", "cones"} <= set(stages) <= {"primary", "beams", "rays", "cones", "parts", "edges", "thicknesses"}
+    assert all(time >= 0 for time in stages.values())
+    passes = frame.report["milliseconds"]
+    assert 0 < stages["cones"] <= sum(stages.values()) <= passes["primary"] + passes["light"]
+
+
 def turntable(count: int):
     for i in range(count):
         angle = 2 * np.pi * i / count
