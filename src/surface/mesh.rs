@@ -135,8 +135,7 @@ impl LevelSurface {
     }
 
     /// Corrects vertices by the planes of the source close to them; see [`super::probes`]. They move within their
-    /// cells, those beyond a free face within their regions, and `free` ones within a voxel of their regions. `is_flat`
-    /// states that the source consists of flat faces.
+    /// regions, or within a voxel of them if they are `free`. `is_flat` states that the source consists of flat faces.
     fn correct(
         &self,
         vertices: &mut [Loose<'_>],
@@ -154,11 +153,7 @@ impl LevelSurface {
             let Loose { cell, id, place } = &mut vertices[near[0].0];
             let corner = self.world(cell.index, DVec3::ZERO);
             let before = *place - corner;
-            let [lower, upper] = match self.region(cell, 0) {
-                _ if free => self.region_beyond(cell),
-                region if is_within(before, region) => region,
-                _ => self.region(cell, cell.free),
-            };
+            let [lower, upper] = if free { self.region_beyond(cell) } else { self.region(cell, cell.free) };
             own.clear();
             let region = PatchRegion::new(self, cell, *id, crossings, if free { 1.0 } else { 0.0 });
             near.iter().for_each(|&(_, point, normal)| region.join(&mut own, point, normal));
