@@ -171,6 +171,8 @@ pub(crate) struct ConeWalk<'a> {
     pub pace: f32,
     /// Half a voxel, scene units.
     pub least_step: f32,
+    /// Whether steps may cross the surface, so that the axis is traced from its start.
+    traces_first: bool,
 }
 
 impl<'a> ConeWalk<'a> {
@@ -196,6 +198,7 @@ impl<'a> ConeWalk<'a> {
             slope,
             pace: 1.0 / (instance.local_from_scene * direction.as_vec3()).length(),
             least_step: 0.5 / axis.1.length() as f32,
+            traces_first: field.may_exceed_distance(),
         }
     }
 }
@@ -238,7 +241,8 @@ impl ConeWalk<'_> {
     /// position of the entry as an error.
     ///
     /// Steps of the whole distance or less cannot cross the surface. The shortest step, half a voxel, may cross a thin
-    /// wall. Before the first step that is longer than the distance, `hit_from` traces the axis from the previous step.
+    /// wall. Before the first step that is longer than the distance, `hit_from` traces the axis from the previous step;
+    /// where values may exceed the distance, it does so from the start.
     pub(crate) fn beside(
         &self,
         x_known: f32,
@@ -253,7 +257,7 @@ impl ConeWalk<'_> {
             let radius = self.slope * t;
             let distance = self.field.distance(p);
             let free = distance * self.pace;
-            if free < self.least_step && !is_free {
+            if (free < self.least_step || self.traces_first) && !is_free {
                 if let Some(t_hit) = hit_from(t - step) {
                     return Err(t_hit);
                 }
@@ -267,7 +271,8 @@ impl ConeWalk<'_> {
                 }
             }
             // Near a surface, half steps find the closest approach to 3 %.
-            step = if free < 2.0 * radius { 0.5 * free } else { free }.max(self.least_step);
+            let share = if free < 2.0 * radius { 0.5 } else { 1.0 };
+            step = (share * free).max(self.least_step);
             t += step;
             if t >= self.leave {
                 return Ok(x);
@@ -290,7 +295,7 @@ impl ConeWalk<'_> {
             let free = distance * self.pace;
             let has_edge = distance * self.instance.stretch[0] < radius
                 && self.across(self.field.distance_guess(p, distance).max(0.0), p) / radius < 1.0;
-            if (has_edge || free < self.least_step) && !is_free {
+            if (has_edge || free < self.least_step || self.traces_first) && !is_free {
                 if let Some(t_hit) = hit_from(t - step) {
                     return Decision::Blocked(t_hit);
                 }
@@ -299,7 +304,8 @@ impl ConeWalk<'_> {
             if has_edge {
                 return Decision::Edge;
             }
-            step = if free < 2.0 * radius { 0.5 * free } else { free }.max(self.least_step);
+            let share = if free < 2.0 * radius { 0.5 } else { 1.0 };
+            step = (share * free).max(self.least_step);
             t += step;
             if t >= self.leave {
                 return Decision::Free;

@@ -18,8 +18,10 @@
 //! the field is at most `sum w_i d(c_i)`. Take a wall of thickness `w` and a point in its middle: `d(c_i)` is
 //! `|(c_i - p).n| - w/2`, and the weighted mean of `|(c_i - p).n|` is at most its root mean square, `h/2`. The field is
 //! therefore below zero in the middle of every wall thicker than one voxel, at any angle. In a wall of two voxels it is
-//! so in a layer of `1.7 h`: rays are traced exactly, so none passes. A thinner object may be lost beyond the distance,
-//! as in any field with such voxels.
+//! so in a layer of `1.7 h`. Thin rays are traced exactly. The step of a cone may exceed the distance by half the
+//! diagonal of a cell, `0.87 h`, because values do not exceed `d` at the samples. It then ends in that layer, which
+//! reaches from `0.15 h` to `1.85 h` behind the face, and the axis is traced from the step before. So none passes. A
+//! thinner object may be lost beyond the distance, as in any field with such voxels.
 //!
 //! *Start.* The surface of a coarse field lies up to about one voxel off the true one. A ray that the instances let
 //! pass is outside when the far part begins. If the field is negative there, the ray skips one voxel and is evaluated

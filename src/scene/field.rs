@@ -96,6 +96,12 @@ pub trait Field: Send + Sync {
         false
     }
 
+    /// Whether values may exceed the distance to the surface by more than a fraction of a voxel. Steps of such values
+    /// may cross the surface.
+    fn may_exceed_distance(&self) -> bool {
+        false
+    }
+
     /// Whether cones are estimated by thin rays ([`super::thin`]): for objects without depth, and for those whose
     /// distances cost more than rays.
     fn prefers_rays(&self) -> bool {
@@ -259,6 +265,10 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
         *self.is_lipschitz.get_or_init(|| self.marcher.field.is_lipschitz())
     }
 
+    fn may_exceed_distance(&self) -> bool {
+        F::HAS_ANY_VALUES && !self.is_lipschitz()
+    }
+
     fn enter(&self, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
         F::enter(self, tables)?;
         Ok(true)
@@ -269,6 +279,9 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
 pub trait OnDevice: Sized {
     /// See [`Field::is_loose`].
     const IS_LOOSE: bool = false;
+
+    /// Whether the values may be any numbers, not only distances and lower bounds of them.
+    const HAS_ANY_VALUES: bool = false;
 
     /// See [`Field::is_lipschitz`]. Each call may read all values.
     fn is_lipschitz(&self) -> bool {
@@ -306,6 +319,8 @@ impl DenseField {
 const LARGEST_SLOPE: f64 = 1.0 + 1.0 / 64.0;
 
 impl OnDevice for DenseField {
+    const HAS_ANY_VALUES: bool = true;
+
     fn is_lipschitz(&self) -> bool {
         let [nx, ny, _] = self.grid.shape;
         let most = (LARGEST_SLOPE * self.grid.spacing()).as_vec3();

@@ -152,6 +152,10 @@ impl Field for NestedField {
         self.levels.iter().all(|level| level.field.is_lipschitz())
     }
 
+    fn may_exceed_distance(&self) -> bool {
+        self.levels.iter().any(|level| level.field.may_exceed_distance())
+    }
+
     fn gradient(&self, p: Vec3) -> Vec3 {
         let (level, p) = self.at(p);
         level.field.gradient(p)

@@ -18,9 +18,9 @@
 //! [`PARTS`] narrow cones that divide the disc evenly, in which edges are straight enough.
 //!
 //! Steps of the stored distance also prove that the axis is free. Only where they become shorter than half a voxel, or
-//! an edge appears, is the rest of the axis traced exactly. So soft shadows need a field that nowhere exceeds the
-//! distance to its surface by more than a fraction of a voxel. Hard shadows are exact for any values: tiles of pixels
-//! ([`super::tile`]) skip a field by its values only if those change no faster than a distance.
+//! an edge ends the walk, is the rest of the axis traced exactly. A field whose values may exceed the distance
+//! ([`Field::may_exceed_distance`]) has its axes traced from their start. Tiles of pixels ([`super::tile`]) skip a
+//! field by its values only if those change no faster than a distance. So shadows end at the surface of any values.
 //!
 //! If the axis itself is blocked, the depth inside gives the distance of the edge only if there is an edge: the middle
 //! of a thin wall is as shallow as its rim. Rays just beyond the presumed edge are therefore evaluated, in

@@ -82,11 +82,6 @@ impl Line {
         self.span(bounds.min - MARGIN, bounds.max + MARGIN, t_max).is_some()
     }
 
-    /// Whether a ray may intersect a box before `t_max`.
-    pub fn meets(&self, bounds: &Aabb, t_max: f32) -> bool {
-        self.clip(bounds.min, bounds.max, MARGIN, t_max).is_some()
-    }
-
     /// The part of the ray in a box that is grown by a length on all sides.
     #[inline]
     fn clip(&self, min: Vec3, max: Vec3, grown: f32, t_max: f32) -> Option<(f32, f32)> {

@@ -29,19 +29,21 @@ def crowd(count: int) -> fb.Scene:
     return fb.Scene([*instances, plane(2 * side)], lights=[fb.DirectionalLight((-1, -2, -0.6), angle_deg=1.5)])
 
 
-# Cones that walk the tree one by one at every pixel take 36 steps per pixel at 10 instances, and 310 at 60. Half of
-# that is the limit.
-@pytest.mark.parametrize(("count", "limit"), [(10, 18), (60, 155)])
-def test_occlusion_takes_few_steps(count: int, limit: int) -> None:
+# Cones of occlusion that walk the tree one by one at every pixel take 36 steps per pixel at 10 instances, and 310 at
+# 60. Half of that is the limit. Soft shadows that trace every axis take 1.7 and 7.7 steps.
+@pytest.mark.parametrize(("count", "open_limit", "soft_limit"), [(10, 18, 1.2), (60, 155, 6)])
+def test_occlusion_and_soft_shadows_take_few_steps(count: int, open_limit: float, soft_limit: float) -> None:
     scene = crowd(count)
     steps = {}
     for name, options in {
         "none": {"shadows": "none"},
+        "soft": {"shadows": "soft"},
         "open": {"shadows": "none", "ambient_occlusion": True},
     }.items():
         steps[name] = fb.render(scene, CAMERA, size=(120, 90), device="cpu", **options).steps.mean()
     # The steps of the light pass alone: those of the first pass are subtracted.
-    assert steps["open"] - steps["none"] <= limit
+    assert steps["open"] - steps["none"] <= open_limit
+    assert steps["soft"] - steps["none"] <= soft_limit
 
 
 @pytest.mark.parametrize("thickness", [0.3, 0.05])

@@ -282,17 +282,46 @@ def test_samples_share_the_light_that_pixels_found() -> None:
     assert smooth.steps.mean() < 1.01 * large.steps.mean()
 
 
-def test_hard_shadows_depend_on_the_surface_of_a_field_alone() -> None:
+@pytest.mark.parametrize("shadows", ["hard", "soft"])
+def test_shadows_end_at_the_surface_of_a_field_of_any_values(shadows: str) -> None:
     ball = fb.bake(fb.Mesh(*meshes.icosphere(4)), 32)
     # Steps by such values would cross the ball. A factor of 4 keeps the bits of the surface.
     steep = fb.Volume(4 * ball.distances, ball.bounds, inner_bounds=ball.inner_bounds)
     camera = fb.Camera((2.5, 7.0, 5.0), (0.6, -1.0, 0.2), fov_deg=40)
     frames = []
     for field in (ball, steep):
-        scene = fb.Scene([fb.Instance(field, moved(y=0.6)), plane()], lights=[fb.DirectionalLight(SUN)])
-        frames.append(fb.render(scene, camera, size=(160, 120), shadows="hard", device="cpu"))
-    assert (frames[0].shadow[frames[0].object_id == 1] == 0).any()
-    assert np.array_equal(frames[0].shadow, frames[1].shadow)
+        scene = fb.Scene([fb.Instance(field, moved(y=0.6)), plane()], lights=[fb.DirectionalLight(SUN, angle_deg=2)])
+        frames.append(fb.render(scene, camera, size=(160, 120), shadows=shadows, device="cpu"))
+    umbra = (frames[0].object_id == 1) & (frames[0].shadow == 0)
+    assert umbra.sum() > 100
+    assert (frames[1].shadow[umbra] == 0).all()
+    if shadows == "hard":
+        assert np.array_equal(frames[0].shadow, frames[1].shadow)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_tiny_light_casts_the_shadows_of_a_point(seed: int) -> None:
+    # Rods, balls and walls of 0.1 to 2 voxels. Cones of 1e-4 radians walk past them by distances.
+    random = np.random.default_rng(seed)
+    voxel = 2.4 / 48
+    parts = []
+    for _ in range(24):
+        size, place = voxel * random.uniform(0.1, 2), random.uniform(-0.9, 0.9, 3).tolist()
+        shapes = (fb.sphere(size), fb.cylinder(size, 1.2), fb.box((1, size, 1)))
+        part = shapes[random.integers(3)].rotate(random.normal(size=3).tolist(), random.uniform(0, 360))
+        parts.append(part.translate(place))
+    field = fb.bake(parts[0].union(*parts[1:]), 48, bounds=[(-1.2,) * 3, (1.2,) * 3])
+    frames = {}
+    for shadows in ("hard", "soft"):
+        light = fb.DirectionalLight(SUN, angle_deg=0.01)
+        scene = fb.Scene([fb.Instance(field, moved(y=0.4)), plane()], lights=[light])
+        camera = fb.Camera((1.5, 6.0, 4.0), (0.6, -1.0, 0.2), fov_deg=50)
+        frames[shadows] = fb.render(scene, camera, size=(160, 120), shadows=shadows, device="cpu")
+    on_plane = frames["hard"].object_id == 1
+    hard, soft = (frames[shadows].shadow[on_plane] for shadows in ("hard", "soft"))
+    assert (hard == 0).sum() > 100
+    # On the plane, the disc of the light is a hundredth of a voxel wide, so that few pixels lie on an edge.
+    assert (np.abs(hard - soft) > 0.01).sum() <= 4
 
 
 @pytest.mark.parametrize("shadows", ["hard", "soft"])
