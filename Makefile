@@ -21,7 +21,7 @@ test: check types ## Everything CI runs: format, lints, types, Rust tests, Pytho
 	PROPTEST_RNG_SEED=0 cargo test --quiet
 	PYOPENGL_PLATFORM=osmesa $(BIN)/pytest -n 2 -m "not slow" --durations 20
 
-test-long: $(VENV)/.built $(VENV)/.test $(VENV)/.long $(VENV)/.docs ## What `make test` leaves out: more random cases, slow tests, builds of 1 to 256 units
+test-long: $(VENV)/.built $(VENV)/.test $(VENV)/.long $(VENV)/.docs ## What `make test` leaves out: new random cases, slow tests, builds of 1 to 256 units
 	PROPTEST_CASES=1000 cargo test --quiet
 	PYOPENGL_PLATFORM=osmesa $(BIN)/pytest -n 2 -m slow
 	scripts/check_units.sh

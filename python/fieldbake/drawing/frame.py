@@ -110,7 +110,7 @@ class Frame:
             For an unknown quantity, for ``"rays"`` in a picture without them, and for a tile below 1.
         """
         checks.choice("quantity", quantity, get_args(Quantity))
-        tile = checks.integer("tile", tile, least=1, most=max(self.size))
+        tile = checks.integer("tile", tile, least=1, most=2**31)
         if getattr(self, quantity) is None:
             raise ArgumentError(f"quantity: this picture has no {quantity}; pictures of render() have them")
         values = np.asarray(getattr(self, quantity), dtype=np.float64)
