@@ -43,7 +43,8 @@ struct Cone {
     is_covered: bool,
 }
 
-// The CPU traces the axis only near surfaces, and ends the walk of a whole disc at its first edge. The shares are equal.
+// The CPU traces the axis only near surfaces, and ends the walk of a whole disc at its first edge. The shares are
+// equal.
 //
 // Evaluates a cone past one occluder. Only edges closer to the axis than x_known are relevant. Without `with_edges` a
 // cone that needs a ray past an edge sets `needs_edge`.

@@ -2,8 +2,8 @@
 //!
 //! *Theory.* The winding number of a closed surface is constant along every path that does not meet a face. All points
 //! of a cell without faces are therefore on the same side of the surface, and so are those of all such cells that are
-//! connected through their boundaries. One point decides a whole region. If caps close the openings of the mesh, a cell also has to
-//! lie in a ball without caps where the fraction of the openings has one nearest integer
+//! connected through their boundaries. One point decides a whole region. If caps close the openings of the mesh, a cell
+//! also has to lie in a ball without caps where the fraction of the openings has one nearest integer
 //! ([`Openings::is_uniform_within`]).
 //!
 //! A cell counts as entered if the box and the plane of a face meet it. It may then be free of faces, which costs time
