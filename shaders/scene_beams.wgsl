@@ -48,10 +48,7 @@ struct Cone {
 //
 // Evaluates a cone past one occluder. Only edges closer to the axis than x_known are relevant. Without `with_edges` a
 // cone that needs a ray past an edge sets `needs_edge`.
-fn cone_past(caster: Caster, beam: Beam, x_known: f32, with_edges: bool) -> Cone {
-    let ray = ray_in_field(caster.index, beam);
-    let span = cone_span(caster, beam, ray, x_known);
-    if span.x > span.y { return Cone(1.0, false); }
+fn cone_past(caster: Caster, beam: Beam, ray: FieldRay, span: vec2f, x_known: f32, with_edges: bool) -> Cone {
     let t_hit = hit_of(caster, ray);
     if t_hit < 0.0 && x_known <= 0.0 { return Cone(1.0, false); }
     let deepest = nearest_edge(beam, caster.index, ray, x_known, span, t_hit);
@@ -114,6 +111,7 @@ fn largest_clearance_past(caster: Caster, beam: Beam, ray: FieldRay, deepest: ve
         var past = beam;
         past.slope = slope;
         past.is_coarse = 1u;
+        if past.cut < ROOT_WITHOUT_OWN { past.cut = ROOT; }
         past.direction = beam.direction + beyond / t * (cos(angle) * axes.right + sin(angle) * axes.up);
         let longer = length(past.direction);
         past.direction /= longer;
@@ -321,7 +319,10 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
             // The value for one instance does not depend on the instances before.
             x_known = 1.0;
         }
-        var cone = cone_past(caster, beam, x_known, with_edges);
+        let ray = ray_in_field(caster.index, beam);
+        let span = cone_span(caster, beam, ray, x_known);
+        if span.x > span.y { continue; }
+        var cone = cone_past(caster, beam, ray, span, x_known, with_edges);
         if needs_edge { return vec2f(0.0); }
         // Beside a free axis a distance may be a loose bound.
         if cone.x >= 0.0 { cone.x = max(cone.x, least); }

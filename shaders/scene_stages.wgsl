@@ -2,6 +2,7 @@
 // invocation, and each of the other dispatches has workgroups of 64 invocations.
 
 #import scene_counts
+#import scene_beam
 
 @group(0) @binding(0) var<storage, read_write> counts: array<u32, COUNTS>;
 // Number of workgroups of each stage along x, y and z, and an unused word.
@@ -18,8 +19,12 @@ fn set_stage(stage: u32, first: u32, count: u32) {
 // Starts the next tiles of pixels: see `TileParams` in scene_surfaces.wgsl.
 @compute @workgroup_size(1)
 fn next_tiles() {
-    params[STRIDE * STAGE_TILES] = params[STRIDE * STAGE_TILES + 2u];
-    params[STRIDE * STAGE_TILES + 2u] += params[STRIDE * STAGE_TILES + 1u];
+    const TILES: u32 = STRIDE * STAGE_TILES;
+    let first = params[TILES + 2u];
+    let count = min(params[TILES + 1u], params[TILES + 4u] - first);
+    params[TILES] = first;
+    params[TILES + 2u] = first + count;
+    groups[STAGE_TILES] = vec4u(count, 1u, 1u, 0u);
     for (var i = 0u; i < BEAMS_FIT; i++) { counts[i] = 0u; }
 }
 
@@ -27,6 +32,8 @@ fn next_tiles() {
 @compute @workgroup_size(1)
 fn count_beams() {
     set_stage(STAGE_CONES, 0u, counts[CONES]);
+    set_stage(STAGE_CUTS, 0u, (counts[CONES] + CUT_BEAMS - 1u) / CUT_BEAMS);
+    params[STRIDE * STAGE_CUTS + 2u] = counts[CONES];
     set_stage(STAGE_RAYS, counts[BEAMS_FIT] - counts[RAYS], counts[RAYS]);
 }
 

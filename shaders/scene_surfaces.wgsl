@@ -47,6 +47,11 @@ struct TileParams {
     next: u32,
     // The tile with the first answer in memory.
     start: u32,
+    // The tile behind the last one of the submission.
+    end: u32,
+    pad_0: u32,
+    pad_1: u32,
+    pad_2: u32,
 }
 
 @group(0) @binding(1) var<uniform> view: SurfaceParams;
@@ -74,7 +79,9 @@ fn vector_at(i: u32) -> vec3f {
 // Cones fill the buffer from its start, rays from its end.
 fn add_beam(beam: Beam) {
     if beam.slope > 0.0 {
-        beams[atomicAdd(&counts[CONES], 1u)] = beam;
+        let place = atomicAdd(&counts[CONES], 1u);
+        beams[place] = beam;
+        beams[place].cut = place / CUT_BEAMS;
     } else {
         beams[arrayLength(&beams) - 1u - atomicAdd(&counts[RAYS], 1u)] = beam;
     }
@@ -130,6 +137,7 @@ fn surface_beams(@builtin(global_invocation_id) id: vec3u, @builtin(local_invoca
     beam.normal = normalize(normal);
     beam.bias_voxels = view.bias_voxels;
     beam.own = index;
+    beam.cut = ROOT;
     for (var i = 0u; i < light_count; i++) {
         let light = view.lights[i];
         beam.direction = light.place;

@@ -22,8 +22,9 @@ struct Beam {
     // 0: the cone of a light's disc, or a ray. 1: a part of a disc, for which only the fraction is used, not whether it
     // is proven. WIDE: a cone of occlusion.
     is_coarse: u32,
-    // 1 if light passes through the own instance: it casts no shadow, and the far field is not used.
-    skips_own: u32,
+    // Index of the cut of the tree at which the search starts. ROOT: it starts at the root. ROOT_WITHOUT_OWN: the same,
+    // and light passes through the own instance: it casts no shadow, and the far field is not used.
+    cut: u32,
     // Index of the answer of this beam.
     owner: u32,
 }

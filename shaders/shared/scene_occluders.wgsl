@@ -2,16 +2,7 @@
 // in src/scene/shadow.rs and of src/scene/far.rs.
 
 #import scene_objects
-#import scene_beam
-
-struct SceneNode {
-    min: vec3f,
-    // Leaf: first item. Inner node: left child; the right child follows it.
-    first: u32,
-    max: vec3f,
-    // Number of items in a leaf; 0 for an inner node.
-    count: u32,
-}
+#import scene_tree
 
 struct BeamParams {
     first: u32,
@@ -29,29 +20,23 @@ struct BeamParams {
 }
 
 @group(0) @binding(0) var<uniform> params: BeamParams;
-@group(0) @binding(1) var<storage, read> nodes: array<SceneNode>;
-// Indices of instances, leaf by leaf.
-@group(0) @binding(2) var<storage, read> items: array<u32>;
+// Cuts of the tree, CUT_NODES words each: nodes, and NO_NODE behind the last one if there are fewer.
+@group(0) @binding(2) var<storage, read> cuts: array<u32>;
 
-const MAX_DEPTH: u32 = 34u;
+// Margin of boxes for rounding, scene units: that of the nodes in src/scene/tree.rs.
+const BOX_MARGIN: f32 = 2e-6;
+
 const FAR_VOXELS: f32 = 8.0;
 const NO_INSTANCE: u32 = 0xffffffffu;
 const NOWHERE: vec2f = vec2f(1.0, 0.0);
 
 var<private> is_far: u32;
 
+// Number of nodes that the invocation visited, at most MAX_STEPS. `steps` does not include them: their number depends
+// on the cut, and the order of the cones in memory, from which cuts are made, differs between runs.
+var<private> visits: u32;
+
 // ---- boxes
-
-// Largest distance from a point to a box.
-fn reach(p: vec3f, low: vec3f, high: vec3f) -> f32 {
-    return length(max(abs(p - low), abs(p - high)));
-}
-
-// Largest radius of a cone from p where it can touch a box before t_max.
-fn widest(p: vec3f, slope: f32, low: vec3f, high: vec3f, t_max: f32) -> f32 {
-    if slope <= 0.0 { return 0.0; }
-    return min(slope / (1.0 - min(slope, 0.9)) * reach(p, low, high), slope * t_max);
-}
 
 fn meets(beam: Beam, low: vec3f, high: vec3f, t_max: f32) -> bool {
     let grown = widest(beam.p, beam.slope, low, high, t_max);
@@ -83,7 +68,7 @@ fn far_distance_from(p: vec3f) -> f32 {
 
 fn split_of(beam: Beam) -> Split {
     let whole = Split(beam.t_max, FAR_T, NOWHERE);
-    if params.far + zero == NO_INSTANCE || beam.skips_own != 0u { return whole; }
+    if params.far + zero == NO_INSTANCE || beam.cut == ROOT_WITHOUT_OWN { return whole; }
     let to = &instances[params.far + params.far_levels - 1u];
     let grown = widest(beam.p, beam.slope, (*to).box_min, (*to).box_max, beam.t_max);
     let part = vec2f(far_distance_from(beam.p), beam.t_max);
@@ -132,11 +117,15 @@ struct Caster {
 
 // A search along a beam: through the tree, then through the levels of the far field.
 struct Walk {
+    // Nodes to visit: `node`, those of the stack, and those of the cut from `next_in_cut` on.
+    node: u32,
     stack: array<u32, MAX_DEPTH>,
     top: u32,
-    // The rest of a leaf: a range of indices in `items`.
+    next_in_cut: u32,
+    end_of_cut: u32,
+    // The rest of a leaf: instances, or NO_INSTANCE.
     next: u32,
-    end: u32,
+    second: u32,
     split: Split,
     // Length of the search through the tree.
     reach: f32,
@@ -149,7 +138,12 @@ struct Walk {
 
 fn begin_walk(beam: Beam) -> Walk {
     var walk: Walk;
-    walk.top = 1u;
+    let has_cut = beam.cut < ROOT_WITHOUT_OWN;
+    walk.node = select(0u, NO_NODE, has_cut);
+    walk.next_in_cut = select(0u, CUT_NODES * beam.cut, has_cut);
+    walk.end_of_cut = select(0u, CUT_NODES * beam.cut + CUT_NODES, has_cut);
+    walk.next = NO_INSTANCE;
+    walk.second = NO_INSTANCE;
     walk.split = split_of(beam);
     let has_far = walk.split.far.x <= walk.split.far.y;
     let is_near = has_far && walk.split.rest >= FAR_T && params.far_holds_all + zero != 0u;
@@ -166,33 +160,52 @@ fn next_caster(walk: ptr<function, Walk>, beam: Beam) -> Caster {
         (*walk).again = NO_INSTANCE;
         return again;
     }
-    while steps < MAX_STEPS {
-        if (*walk).next < (*walk).end {
-            let index = items[(*walk).next];
-            (*walk).next++;
-            let opacity = instances[index].opacity;
-            if instances[index].casts_shadow == 0u || opacity == 0.0 { continue; }
-            if beam.skips_own != 0u && index == beam.own { continue; }
+    while steps < MAX_STEPS && visits < MAX_STEPS {
+        if (*walk).next != NO_INSTANCE {
+            let index = (*walk).next;
+            (*walk).next = (*walk).second;
+            (*walk).second = NO_INSTANCE;
+            let to = &instances[index];
+            let opacity = (*to).opacity;
+            if (*to).casts_shadow == 0u || opacity == 0.0 { continue; }
+            // The box of a leaf contains two instances.
+            if !meets(beam, (*to).box_min - BOX_MARGIN, (*to).box_max + BOX_MARGIN, (*walk).reach) { continue; }
+            if beam.cut == ROOT_WITHOUT_OWN && index == beam.own { continue; }
             // The far field contains opaque solids only.
             let is_whole = opacity < 1.0 || (HAS_THIN && instances[index].prefers_rays != 0u);
             if is_whole { return Caster(index, vec2f(0.0, beam.t_max), 0.0); }
             if (*walk).split.rest < FAR_T { (*walk).again = index; }
             return Caster(index, vec2f(0.0, (*walk).split.near), 0.0);
         }
-        if (*walk).top == 0u { break; }
-        steps++;
-        (*walk).top--;
-        let node = nodes[(*walk).stack[(*walk).top]];
+        if (*walk).node == NO_NODE {
+            if (*walk).top > 0u {
+                (*walk).top--;
+                (*walk).node = (*walk).stack[(*walk).top];
+            } else if (*walk).next_in_cut < (*walk).end_of_cut {
+                (*walk).node = cuts[(*walk).next_in_cut];
+                (*walk).next_in_cut++;
+            }
+            if (*walk).node == NO_NODE {
+                // Words behind the last node of a cut are undefined.
+                (*walk).end_of_cut = 0u;
+                break;
+            }
+        }
+        visits++;
+        let node = nodes[(*walk).node];
+        (*walk).node = NO_NODE;
         if !meets(beam, node.min, node.max, (*walk).reach) { continue; }
-        if node.count == 0u {
+        if node.second == 0u {
             (*walk).stack[(*walk).top] = node.first;
-            (*walk).stack[(*walk).top + 1u] = node.first + 1u;
-            (*walk).top += 2u;
+            (*walk).top++;
+            (*walk).node = node.first + 1u;
         } else {
             (*walk).next = node.first;
-            (*walk).end = node.first + node.count;
+            (*walk).second = select(node.second - 1u, NO_INSTANCE, node.second - 1u == node.first);
         }
     }
+    // The CPU evaluates a beam whose search did not end.
+    if visits >= MAX_STEPS { steps = MAX_STEPS; }
     return next_level(walk, beam);
 }
 

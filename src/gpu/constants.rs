@@ -216,6 +216,16 @@ wgsl_constants! {
         /// occluder covers the section only if the axis is inside it for a radius, so the fade may be as long as that.
         END_FADE: f32 as f32 = 0.5;
     }
+    scene_beam {
+        /// Number of consecutive cones with a common cut of the scene's tree, and of nodes of a cut.
+        CUT_BEAMS: u32 as u32 = 8;
+        CUT_NODES: u32 as u32 = 16;
+        /// Values of a beam's cut: its search starts at the root. In the second case it skips the beam's own instance.
+        ROOT: u32 as u32 = u32::MAX;
+        ROOT_WITHOUT_OWN: u32 as u32 = u32::MAX - 1;
+        /// Value for no node in a cut.
+        NO_NODE: u32 as u32 = u32::MAX;
+    }
     scene_counts {
         /// Words of the counts of a light pass: cones, rays, discs that one cone did not decide, the first of these
         /// discs in a round, and cones of the round that need a ray past an edge. The numbers of beams and of discs
@@ -235,7 +245,8 @@ wgsl_constants! {
         STAGE_DISCS: u32 as u32 = 3;
         STAGE_PARTS: u32 as u32 = 4;
         STAGE_EDGES: u32 as u32 = 5;
-        STAGES: u32 as u32 = 6;
+        STAGE_CUTS: u32 as u32 = 6;
+        STAGES: u32 as u32 = 7;
         /// Number of words from the parameters of a stage to those of the next one: 256 bytes, the largest alignment of
         /// uniform buffers.
         STRIDE: u32 as u32 = 64;

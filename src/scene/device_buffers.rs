@@ -3,6 +3,7 @@
 use crate::error::DeviceError;
 use crate::gpu::Context;
 use crate::gpu::buffer::ReadBack;
+use crate::gpu::constants::scene_beam::{CUT_BEAMS, CUT_NODES};
 use crate::gpu::constants::scene_counts::{BEAMS_FIT, COUNTS, DISCS_FIT, PARTS, STAGES, STRIDE};
 use crate::gpu::layout::{Answer, Beam, BeamParams, SurfaceParams};
 use crate::gpu::pipeline::BindGroups;
@@ -27,6 +28,8 @@ pub(crate) struct Buffers {
     pub groups: wgpu::Buffer,
     pub params: wgpu::Buffer,
     pub beams: wgpu::Buffer,
+    /// Cuts of the scene's tree for the beams.
+    pub cuts: wgpu::Buffer,
     pub answers: wgpu::Buffer,
     /// Beams whose discs are divided.
     pub discs: wgpu::Buffer,
@@ -73,6 +76,7 @@ impl Buffers {
             groups: context.written_by_kernels("sizes of stages", u64::from(STAGES) * size_of::<[u32; 4]>() as u64)?,
             params: context.written_by_kernels("parameters of stages", u64::from(STAGES) * STAGE_BYTES)?,
             beams: storage("beams", beams_fit, size_of::<Beam>())?,
+            cuts: storage("cuts of the scene's tree", CUT_NODES * beams_fit.div_ceil(CUT_BEAMS), size_of::<u32>())?,
             answers: context.storage("answers", answers * size_of::<Answer>() as u64)?,
             discs: storage("divided discs", beams_fit, size_of::<u32>())?,
             parts: storage("parts of discs", PARTS * discs_fit, size_of::<Beam>())?,

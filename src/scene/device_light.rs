@@ -16,9 +16,9 @@ use super::pass::Pass;
 use crate::error::Error;
 use crate::gpu::Context;
 use crate::gpu::constants::scene_counts::{
-    GROUP, SPREAD, STAGE_CONES, STAGE_DISCS, STAGE_EDGES, STAGE_PARTS, STAGE_RAYS, STAGE_TILES, TILE,
+    GROUP, SPREAD, STAGE_CONES, STAGE_CUTS, STAGE_DISCS, STAGE_EDGES, STAGE_PARTS, STAGE_RAYS, STAGE_TILES, TILE,
 };
-use crate::gpu::layout::{Answer, BeamParams, SurfaceLight, SurfaceParams, TileParams};
+use crate::gpu::layout::{Answer, BeamParams, CutParams, SurfaceLight, SurfaceParams, TileParams};
 use crate::gpu::pace::{Items, by_rate};
 use crate::gpu::pipeline::{BoundRange, Dispatch, DispatchSize, whole};
 use crate::gpu::shader::Instead;
@@ -220,7 +220,8 @@ fn take_pixel(
 ///
 /// ```text
 ///   next_tiles, surface_beams, count_beams     beams of the lights on the visible faces
-///   cones, rays                                their answers
+///   rays                                       their answers
+///   tree_cuts, cones                           starts of the searches of cones, and their answers
 ///   collect_discs                              discs that one cone does not decide
 ///   rounds, each for some of these discs:
 ///     next_discs, divide, cones                their parts, and the answers of the parts
@@ -242,7 +243,7 @@ struct FaceLight<'a> {
 /// The stage to which the time of a kernel counts in reports.
 fn stage_of(kernel: &str) -> &'static str {
     match kernel {
-        "next_tiles" | "surface_beams" | "count_beams" => "beams",
+        "next_tiles" | "surface_beams" | "count_beams" | "tree cuts" => "beams",
         "rays of surfaces" => "rays",
         "cones of surfaces" | "collect_discs" => "cones",
         "cones at edges" | "join_parts" => "edges",
@@ -259,11 +260,10 @@ struct Kernel {
     stage: &'static str,
 }
 
-/// Number of workgroups of a kernel: one, one for each tile of the bunch, or that of a stage.
+/// Number of workgroups of a kernel: one, or that of a stage.
 #[derive(Clone, Copy)]
 enum Size {
     One,
-    Tiles,
     Stage(u32),
 }
 
@@ -277,7 +277,8 @@ impl<'a> FaceLight<'a> {
         kinds: [bool; 2],
     ) -> Result<Self, Error> {
         let [has_cones, has_rays] = kinds;
-        let Buffers { view, counts, groups, params, beams, answers, discs, parts, part_answers, edges, .. } = buffers;
+        let Buffers { view, counts, groups, params, beams, cuts, answers, discs, parts, part_answers, edges, .. } =
+            buffers;
         let texts = device.texts();
         let kernel = |name, file, entry, texts: &[Instead], bindings: &[BoundRange<'_>], size| {
             let (pipeline, group) = device.kernel(name, file, entry, texts, bindings)?;
@@ -287,15 +288,14 @@ impl<'a> FaceLight<'a> {
             let bindings: Vec<_> = bindings.iter().copied().map(whole).collect();
             kernel(entry, "scene_stages", entry, &[], &bindings, Size::One)
         };
-        let surfaces = |entry: &'static str, size: Size, bindings: &[(u32, &wgpu::Buffer)]| {
-            let stage = if let Size::Stage(stage) = size { stage } else { STAGE_TILES };
+        let surfaces = |entry: &'static str, stage: u32, bindings: &[(u32, &wgpu::Buffer)]| {
             let parameters = (2, params, u64::from(stage) * STAGE_BYTES, size_of::<TileParams>() as u64);
             let bindings: Vec<_> = bindings.iter().copied().map(whole).chain([parameters]).collect();
-            kernel(entry, "scene_surfaces", entry, &[], &bindings, size)
+            kernel(entry, "scene_surfaces", entry, &[], &bindings, Size::Stage(stage))
         };
         let evaluate = |name, entry, stage: u32, beams, answers| {
             let parameters = (0, params, u64::from(stage) * STAGE_BYTES, size_of::<BeamParams>() as u64);
-            let bindings = device.beam_bindings(entry, parameters, beams, answers);
+            let bindings = device.beam_bindings(entry, parameters, cuts, beams, answers);
             kernel(name, "scene_beams", entry, &texts, &bindings, Size::Stage(stage))
         };
         let of_surfaces = [
@@ -309,8 +309,8 @@ impl<'a> FaceLight<'a> {
             (11, counts),
         ];
         let mut bunch = vec![
-            stages("next_tiles", &[(0, counts), (2, params)])?,
-            surfaces("surface_beams", Size::Tiles, &of_surfaces)?,
+            stages("next_tiles", &[(0, counts), (1, groups), (2, params)])?,
+            surfaces("surface_beams", STAGE_TILES, &of_surfaces)?,
             stages("count_beams", &[(0, counts), (1, groups), (2, params)])?,
         ];
         let mut round = Vec::new();
@@ -318,19 +318,21 @@ impl<'a> FaceLight<'a> {
             bunch.push(evaluate("rays of surfaces", "rays", STAGE_RAYS, beams, answers)?);
         }
         if has_cones {
-            let cones = Size::Stage(STAGE_CONES);
-            let (of_discs, of_parts) = (Size::Stage(STAGE_DISCS), Size::Stage(STAGE_PARTS));
+            let parameters = (0, params, u64::from(STAGE_CUTS) * STAGE_BYTES, size_of::<CutParams>() as u64);
+            let bindings = [parameters, whole((1, device.nodes())), whole((2, cuts)), whole((7, beams))];
+            bunch.push(kernel("tree cuts", "scene_cuts", "tree_cuts", &[], &bindings, Size::Stage(STAGE_CUTS))?);
             bunch.push(evaluate("cones of surfaces", "cones", STAGE_CONES, beams, answers)?);
-            bunch.push(surfaces("collect_discs", cones, &[(9, beams), (10, answers), (11, counts), (13, discs)])?);
+            let of_cones = [(9, beams), (10, answers), (11, counts), (13, discs)];
+            bunch.push(surfaces("collect_discs", STAGE_CONES, &of_cones)?);
             round.push(stages("next_discs", &[(0, counts), (1, groups), (2, params)])?);
-            round.push(surfaces("divide", of_discs, &[(9, beams), (12, parts), (13, discs)])?);
+            round.push(surfaces("divide", STAGE_DISCS, &[(9, beams), (12, parts), (13, discs)])?);
             round.push(evaluate("cones of parts", "cones", STAGE_PARTS, parts, part_answers)?);
             let at_edges = [(9, parts), (10, part_answers), (11, counts), (12, edges)];
-            round.push(surfaces("collect_edges", of_parts, &at_edges)?);
+            round.push(surfaces("collect_edges", STAGE_PARTS, &at_edges)?);
             round.push(stages("count_edges", &[(0, counts), (1, groups), (2, params)])?);
             round.push(evaluate("cones at edges", "edge_cones", STAGE_EDGES, edges, part_answers)?);
             let joined = [(9, beams), (10, answers), (13, discs), (14, part_answers)];
-            round.push(surfaces("join_parts", of_discs, &joined)?);
+            round.push(surfaces("join_parts", STAGE_DISCS, &joined)?);
         }
         let timer = device.timer.as_ref();
         Ok(Self { context: device.context(), rates: &device.light_rates, kinds, buffers, timer, bunch, round })
@@ -354,8 +356,14 @@ impl<'a> FaceLight<'a> {
         let rates = || self.rates.lock().unwrap_or_else(PoisonError::into_inner);
         let mut found = rates().get(&self.kinds).copied().unwrap_or(0.0);
         by_rate(context, "the scene's light", &items, &mut found, progress, |first, tiles| {
-            let params =
-                TileParams { count: bunch as u32, next: (start + first) as u32, start: start as u32, first: 0 };
+            let next = start + first;
+            let params = TileParams {
+                count: bunch as u32,
+                next: next as u32,
+                start: start as u32,
+                end: (next + tiles) as u32,
+                ..TileParams::default()
+            };
             let offset = u64::from(STAGE_TILES) * STAGE_BYTES;
             context.write("tiles of surfaces", &buffers.params, offset, &[params])?;
             let mut dispatches = Vec::new();
@@ -363,7 +371,7 @@ impl<'a> FaceLight<'a> {
                 let size = bunch.min(tiles - from);
                 let rounds = (size * tile_answers).div_ceil(u64::from(buffers.discs_fit));
                 let rounds = std::iter::repeat_n(&self.round, rounds as usize).flatten();
-                dispatches.extend(self.bunch.iter().chain(rounds).map(|kernel| kernel.dispatch(buffers, size as u32)));
+                dispatches.extend(self.bunch.iter().chain(rounds).map(|kernel| kernel.dispatch(buffers)));
             }
             let copy = (first + tiles == count).then_some((&buffers.answers, bytes, &result));
             Ok(context.submit_all("the scene's light", &dispatches, copy, self.timer)?)
@@ -376,10 +384,9 @@ impl<'a> FaceLight<'a> {
 }
 
 impl Kernel {
-    fn dispatch<'a>(&'a self, buffers: &'a Buffers, tiles: u32) -> Dispatch<'a> {
+    fn dispatch<'a>(&'a self, buffers: &'a Buffers) -> Dispatch<'a> {
         let size = match self.size {
             Size::One => DispatchSize::Known([1, 1, 1]),
-            Size::Tiles => DispatchSize::Known([tiles, 1, 1]),
             Size::Stage(stage) => DispatchSize::At(&buffers.groups, u64::from(stage) * size_of::<[u32; 4]>() as u64),
         };
         Dispatch { pipeline: &self.pipeline, group: &self.group, size, stage: self.stage }

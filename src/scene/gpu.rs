@@ -17,6 +17,7 @@ use super::{Instance, Scene};
 use crate::error::Error;
 use crate::geometry::Aabb;
 use crate::gpu::Context;
+use crate::gpu::constants::scene_beam::{ROOT, ROOT_WITHOUT_OWN};
 use crate::gpu::layout::{Answer, Beam, BeamParams, RasterInstance, SceneInstance, SceneNode};
 use crate::gpu::pace::in_groups_from;
 use crate::gpu::pipeline::{AnyPipeline, BindGroups, BoundRange, Dispatch, DispatchSize, whole};
@@ -45,7 +46,8 @@ const BY_VOXELS: f32 = -1.0;
 pub(crate) struct DeviceScene {
     context: Arc<Context>,
     nodes: Table<SceneNode>,
-    items: Table<u32>,
+    /// Memory in place of cuts, for beams without any.
+    no_cuts: wgpu::Buffer,
     instances: Table<SceneInstance>,
     fields: Fields,
     meshes: DeviceMeshes,
@@ -149,8 +151,8 @@ impl DeviceScene {
         let (rows, knows) = fields.rows(scene, far);
         Ok(Self {
             context: context.clone(),
-            nodes: Table::new(context, "scene tree", scene.tree.nodes.clone())?,
-            items: Table::new(context, "scene items", scene.tree.items.clone())?,
+            nodes: Table::new(context, "scene tree", scene.tree.device_nodes())?,
+            no_cuts: context.storage("no cuts", size_of::<u32>() as u64)?,
             instances: Table::new(context, "scene instances", rows)?,
             fields,
             meshes: DeviceMeshes::upload(context, scene)?,
@@ -177,8 +179,7 @@ impl DeviceScene {
         let (rows, knows) = self.fields.rows(scene, far);
         self.knows = knows;
         self.instances.set(context, rows)?;
-        self.nodes.set(context, scene.tree.nodes.clone())?;
-        self.items.set(context, scene.tree.items.clone())?;
+        self.nodes.set(context, scene.tree.device_nodes())?;
         if self.meshes.update(context, scene)? {
             self.groups.clear();
         }
@@ -286,17 +287,22 @@ impl DeviceScene {
         self.evaluate("thicknesses", BeamParams { far: NO_FAR, ..BeamParams::default() }, beams, progress)
     }
 
+    pub(crate) fn nodes(&self) -> &wgpu::Buffer {
+        self.nodes.buffer()
+    }
+
     /// The buffers of a kernel that evaluates beams.
     pub(crate) fn beam_bindings<'a>(
         &'a self,
         entry: &str,
         params: BoundRange<'a>,
+        cuts: &'a wgpu::Buffer,
         beams: &'a wgpu::Buffer,
         answers: &'a wgpu::Buffer,
     ) -> Vec<BoundRange<'a>> {
         let scene = [
             (1, self.nodes.buffer()),
-            (2, self.items.buffer()),
+            (2, cuts),
             (3, self.instances.buffer()),
             (4, &self.fields.records),
             (5, &self.fields.samples),
@@ -366,7 +372,7 @@ impl DeviceScene {
         let stage = if entry == "edge_cones" { "edges" } else { entry };
         let uniform = context.uniform("beam parameters", &params)?;
         let kernel = context.kernel_with("scene_beams", entry, &self.texts())?;
-        let bindings = self.beam_bindings(entry, whole((0, &uniform)), beams, answers);
+        let bindings = self.beam_bindings(entry, whole((0, &uniform)), &self.no_cuts, beams, answers);
         let bindings: Vec<_> = bindings.into_iter().map(|(binding, buffer, ..)| (binding, buffer)).collect();
         let group = context.bind("scene_beams", &kernel, &bindings)?;
         let paces = || self.paces.lock().unwrap_or_else(PoisonError::into_inner);
@@ -393,7 +399,7 @@ pub(crate) fn beam(place: &SurfacePoint, ray: &LightRay, slope: f32) -> Beam {
         normal: place.normal.to_array(),
         bias_voxels: place.bias_voxels,
         own: place.own,
-        skips_own: u32::from(place.skips_own),
+        cut: if place.skips_own { ROOT_WITHOUT_OWN } else { ROOT },
         ..Beam::default()
     }
 }
@@ -409,7 +415,7 @@ fn from_beam(beam: &Beam) -> (SurfacePoint, LightRay) {
         normal: Vec3::from_array(beam.normal),
         own: beam.own,
         bias_voxels: beam.bias_voxels,
-        skips_own: beam.skips_own != 0,
+        skips_own: beam.cut == ROOT_WITHOUT_OWN,
     };
     let direction = Vec3::from_array(beam.direction).as_dvec3().normalize();
     (place, LightRay { direction, t_max: if beam.t_max < FAR { f64::from(beam.t_max) } else { f64::INFINITY } })

@@ -1,13 +1,13 @@
 //! A binary tree over the boxes of instances, for rays and for cones.
 //!
 //! The tree is built by halving the longest axis of the centres. A scene has hundreds or thousands of instances, so the
-//! build takes microseconds. Nodes have 32 bytes, and devices read them unchanged.
+//! build takes microseconds.
 
 use crate::geometry::Aabb;
 use crate::gpu::layout::SceneNode;
 use glam::Vec3;
 
-/// Largest number of items in a leaf.
+/// Largest number of items in a leaf. Nodes of devices have two.
 const LEAF: usize = 2;
 /// Halving divides 2^32 boxes into leaves in 32 levels. The stack of a search holds at most one node per level, and the
 /// root.
@@ -15,11 +15,22 @@ pub(crate) const MAX_DEPTH: usize = 34;
 /// Boxes are enlarged by this fraction of the scene size, 1: more than the rounding of a float32 slab test.
 const MARGIN: f32 = 2e-6;
 
+/// A node of the tree.
+#[derive(Debug, Clone, Copy, Default)]
+struct Node {
+    min: [f32; 3],
+    max: [f32; 3],
+    /// Leaf: first item. Inner node: left child; the right child follows it.
+    first: u32,
+    /// Number of items in a leaf; 0 for an inner node.
+    count: u32,
+}
+
 /// The tree. The root is node 0.
 #[derive(Debug)]
 pub struct Tree {
-    pub(crate) nodes: Vec<SceneNode>,
-    pub items: Vec<u32>,
+    nodes: Vec<Node>,
+    items: Vec<u32>,
 }
 
 /// A ray in scene space, prepared for tests of boxes.
@@ -98,7 +109,7 @@ impl Tree {
     /// `boxes` are in scene space.
     pub fn new(boxes: &[Aabb]) -> Self {
         let mut items: Vec<u32> = (0..boxes.len() as u32).collect();
-        let mut nodes = vec![SceneNode::default()];
+        let mut nodes = vec![Node::default()];
         let mut waiting = vec![(0usize, 0usize, boxes.len())];
         while let Some((node, first, end)) = waiting.pop() {
             let part = &mut items[first..end];
@@ -118,11 +129,23 @@ impl Tree {
             let child = nodes.len();
             nodes[node].first = child as u32;
             nodes[node].count = 0;
-            nodes.extend([SceneNode::default(); 2]);
+            nodes.extend([Node::default(); 2]);
             waiting.push((child, first, first + middle));
             waiting.push((child + 1, first + middle, end));
         }
         Self { nodes, items }
+    }
+
+    /// The nodes in the form of devices, which need no list of items.
+    pub(crate) fn device_nodes(&self) -> Vec<SceneNode> {
+        let node = |&Node { min, max, first, count }: &Node| {
+            let [first, second] = match count {
+                0 => [first, 0],
+                _ => [first, first + count - 1].map(|item| self.items[item as usize]),
+            };
+            SceneNode { min, first, max, second: if count == 0 { 0 } else { 1 + second } }
+        };
+        self.nodes.iter().map(node).collect()
     }
 
     /// Calls `visit` with each item whose leaf comes within `radius` of a point.

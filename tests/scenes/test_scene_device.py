@@ -92,6 +92,38 @@ def test_a_graphics_device_draws_meshes_whole(name: str, model_path, gpu: str) -
     assert_same_picture(here, there, scene)
 
 
+@pytest.mark.parametrize("size", [(24, 18), (160, 120)])
+@pytest.mark.parametrize("light", ["sun", "lamp", "both", "lamp and far field"])
+def test_neighbours_that_share_a_search_find_all_occluders(light: str, size: tuple[int, int], gpu: str) -> None:
+    """Many small objects over a floor. In the small picture neighbouring pixels lie on different objects.
+
+    A translucent occluder that a search visits twice would darken the picture.
+    """
+    box = fb.Mesh(*meshes.box((-0.07, -0.2, -0.07), (0.07, 0.2, 0.07)))
+    random = np.random.default_rng(4)
+    boxes = [
+        fb.Instance(
+            box,
+            moved(x=x, y=random.uniform(0, 1), z=z, turn=random.uniform(0, 3)),
+            resolution=12,
+            opacity=random.choice([0.5, 1, 1]),
+        )
+        for x in np.linspace(-3, 3, 15)
+        for z in np.linspace(-3, 3, 15)
+    ]
+    floor = fb.Mesh(*meshes.box((-4, -0.7, -4), (4, -0.5, 4)))
+    sun = fb.DirectionalLight(SUN, angle_deg=4)
+    lamp = fb.PointLight((0.5, 1.6, -0.3), radius=0.2)
+    lights = {"sun": [sun], "lamp": [lamp], "both": [lamp, sun], "lamp and far field": [lamp]}[light]
+    scene = fb.Scene([*boxes, fb.Instance(floor, resolution=32)], lights=lights)
+    far = fb.merge([box for box in boxes if box.opacity == 1], 24, device="cpu") if "far" in light else None
+    camera = fb.Camera((1, 4, 7), (0, 0, 0))
+    here, there = (fb.render(scene, camera, size=size, far=far, device=place) for place in ("cpu", gpu))
+    assert there.report["devices"]["light"] != "cpu"
+    assert 0.02 < (here.shadow[np.isfinite(here.depth)] < 0.5).mean() < 0.98
+    assert exceeds(np.abs(here.shadow - there.shadow), 1 / 255).mean() <= 0.005
+
+
 def test_the_articles_march_is_not_for_devices(gpu: str) -> None:
     with pytest.raises(fb.DeviceError, match="runs on the CPU only"):
         fb.render([fb.bake(meshes.icosphere(1), 8, device="cpu")], size=(8, 8), method="article", device=gpu)

@@ -1,14 +1,14 @@
 //! Structs of scenes.
 
 gpu_structs! {
-    /// A node of the tree over a scene's instances; `shaders/scene_beams.wgsl`.
+    /// A node of the tree over a scene's instances; `shaders/shared/scene_tree.wgsl`.
     "scene_beams": struct SceneNode {
         min: [f32; 3],
-        /// Leaf: first item. Inner node: left child; the right child follows it.
+        /// Leaf: first instance. Inner node: left child; the right child follows it.
         first: u32,
         max: [f32; 3],
-        /// Number of items in a leaf; 0 for an inner node.
-        count: u32,
+        /// Leaf: 1 + the second instance, or 1 + the first if the leaf has only one. Inner node: 0.
+        second: u32,
     }
 
     /// `shaders/shared/scene_field.wgsl`.
@@ -60,7 +60,7 @@ gpu_structs! {
         bias_voxels: f32,
         own: u32,
         is_coarse: u32,
-        skips_own: u32,
+        cut: u32,
         owner: u32,
     }
 
@@ -83,6 +83,14 @@ gpu_structs! {
         far_distance: f32,
         pad_0: u32,
         pad_1: u32,
+    }
+
+    /// `shaders/scene_cuts.wgsl`.
+    "scene_cuts": struct CutParams {
+        first: u32,
+        count: u32,
+        cones: u32,
+        pad_0: u32,
     }
 
     /// `shaders/scene_surfaces.wgsl`.
@@ -118,6 +126,10 @@ gpu_structs! {
         count: u32,
         next: u32,
         start: u32,
+        end: u32,
+        pad_0: u32,
+        pad_1: u32,
+        pad_2: u32,
     }
 
     /// `shaders/shared/scene_view.wgsl`.
