@@ -64,7 +64,7 @@ def test_folders_import_only_what_lies_below_them():
 #: Files that import each other. The context of a device owns caches whose methods take the context, and an object of a
 #: scene enters itself into the tables of the device.
 KNOTS = {
-    "gpu": {"buffer context device pipeline raster"},
+    "gpu": {"buffer context device pipeline raster timer"},
     "quadric": {"draw gpu"},
     "scene": {"device_fields field"},
 }

@@ -321,7 +321,7 @@ def test_a_tiny_light_casts_the_shadows_of_a_point(seed: int) -> None:
     hard, soft = (frames[shadows].shadow[on_plane] for shadows in ("hard", "soft"))
     assert (hard == 0).sum() > 100
     # On the plane, the disc of the light is a hundredth of a voxel wide, so that few pixels lie on an edge.
-    assert (np.abs(hard - soft) > 0.01).sum() <= 4
+    assert exceeds(np.abs(hard - soft), 0.01).sum() <= 4
 
 
 @pytest.mark.parametrize("shadows", ["hard", "soft"])
