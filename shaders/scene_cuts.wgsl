@@ -1,6 +1,6 @@
 // Finds a cut of the scene's tree for each few consecutive cones: the nodes at which their searches start. Neighbours
-// in the list of cones are neighbours in the picture, so one search through the upper part of the tree serves all of
-// them.
+// in the list of cones are mostly neighbours in the picture, so one search through the upper part of the tree serves
+// all of them.
 //
 // A cut has the leaves that any of the cones may enter, in the order of a search from the root. Where they do not fit,
 // it has inner nodes. A search from a cut finds the same instances in the same order as one from the root.
@@ -20,9 +20,6 @@ struct CutParams {
 @group(0) @binding(2) var<storage, read_write> cuts: array<u32>;
 @group(0) @binding(7) var<storage, read> beams: array<Beam>;
 
-// The cones that divide a disc extend beyond it: their radius is a quarter of the disc's, and their axes reach up to
-// its rim.
-const BEYOND_DISC: f32 = 1.25;
 // Margins for rounding: relative, and in scene units.
 const MORE: f32 = 1.0001;
 const MARGIN: f32 = 1e-6;
@@ -33,7 +30,7 @@ fn tree_cuts(@builtin(global_invocation_id) id: vec3u) {
     begin_invocation(id);
     let first = id.x * CUT_BEAMS;
     let end = min(first + CUT_BEAMS, params.cones);
-    // The first cone stands for all: each point of another one's axis is within `aside` of the point of the first axis
+    // The bound is that of the first cone, widened: each point of another one's axis is within `aside` of the point of the first axis
     // at the same fraction of the length.
     let one = beams[first];
     var aside = vec3f(0.0);
@@ -58,7 +55,9 @@ fn tree_cuts(@builtin(global_invocation_id) id: vec3u) {
         cuts[at + 1u] = NO_NODE;
         return;
     }
-    slope *= BEYOND_DISC;
+    // The cones that divide a disc extend beyond it: the axes reach up to its rim, their slope is a quarter of the
+    // disc's, and they are longer by the secant of their angle to its axis.
+    slope *= 1.0 + 0.25 * sqrt(1.0 + slope * slope);
     var stack: array<u32, MAX_DEPTH>;
     var top = 0u;
     var node = 0u;

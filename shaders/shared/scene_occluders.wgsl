@@ -32,7 +32,7 @@ const NOWHERE: vec2f = vec2f(1.0, 0.0);
 
 var<private> is_far: u32;
 
-// Number of nodes that the invocation visited, at most MAX_STEPS. `steps` does not include them: their number depends
+// Number of nodes that the invocation visited: together with `steps`, at most MAX_STEPS. `steps` does not include them: their number depends
 // on the cut, and the order of the cones in memory, from which cuts are made, differs between runs.
 var<private> visits: u32;
 
@@ -160,7 +160,7 @@ fn next_caster(walk: ptr<function, Walk>, beam: Beam) -> Caster {
         (*walk).again = NO_INSTANCE;
         return again;
     }
-    while steps < MAX_STEPS && visits < MAX_STEPS {
+    while steps + visits < MAX_STEPS {
         if (*walk).next != NO_INSTANCE {
             let index = (*walk).next;
             (*walk).next = (*walk).second;
@@ -205,7 +205,7 @@ fn next_caster(walk: ptr<function, Walk>, beam: Beam) -> Caster {
         }
     }
     // The CPU evaluates a beam whose search did not end.
-    if visits >= MAX_STEPS { steps = MAX_STEPS; }
+    if steps + visits >= MAX_STEPS { steps = MAX_STEPS; }
     return next_level(walk, beam);
 }
 

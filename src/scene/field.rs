@@ -90,8 +90,8 @@ pub trait Field: Send + Sync {
         false
     }
 
-    /// Whether stored values are known to change no faster than a distance, so that the ball around a point with the
-    /// radius of its value, less half a voxel, is free.
+    /// Whether stored values are known to change no faster than a distance from each sample to its 26 neighbours. Most
+    /// of the ball around a point with the radius of its value is then free; see [`super::cone`].
     fn is_lipschitz(&self) -> bool {
         false
     }
@@ -315,22 +315,40 @@ impl DenseField {
     }
 }
 
-/// Largest difference of neighbouring samples of a distance, relative to the spacing: 1 and the rounding of samples.
+/// Largest difference of neighbouring samples of a distance, relative to their distance: 1 and the rounding of samples.
 const LARGEST_SLOPE: f64 = 1.0 + 1.0 / 64.0;
+
+/// Largest ratio of the sides of voxels for which differences along edges and diagonals bound the slope.
+const MOST_OBLONG: f64 = 1.05;
 
 impl OnDevice for DenseField {
     const HAS_ANY_VALUES: bool = true;
 
     fn is_lipschitz(&self) -> bool {
-        let [nx, ny, _] = self.grid.shape;
-        let most = (LARGEST_SLOPE * self.grid.spacing()).as_vec3();
+        let [nx, ny, nz] = self.grid.shape;
+        let spacing = self.grid.spacing();
+        if spacing.max_element() > MOST_OBLONG * spacing.min_element() {
+            return false;
+        }
+        let row = |y: usize, z: usize| &self.samples[nx * (y + ny * z)..][..nx];
         // Without early exits, so that the compiler uses vectors.
         let agree = |a: &[f32], b: &[f32], most: f32| {
             a.iter().zip(b).fold(true, |agree, (a, b)| agree & ((a - b).abs() <= most))
         };
-        self.samples.chunks_exact(nx).all(|row| agree(row, &row[1..], most.x))
-            && self.samples.chunks_exact(nx * ny).all(|slice| agree(slice, &slice[nx..], most.y))
-            && agree(&self.samples, &self.samples[nx * ny..], most.z)
+        // The 13 pairs of opposite neighbours.
+        let offsets = (0..27).map(|i| [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1]);
+        offsets.filter(|&[x, y, z]: &[i32; 3]| [z, y, x] > [0; 3]).all(|[x, y, z]| {
+            let length = (DVec3::new(x.into(), y.into(), z.into()) * spacing).length();
+            let most = (LARGEST_SLOPE * length) as f32;
+            let [before, after] = [x.min(0).unsigned_abs() as usize, x.max(0) as usize];
+            let (low, high) = (y.min(0).unsigned_abs() as usize, ny.saturating_sub(y.max(0) as usize));
+            (0..nz.saturating_sub(z as usize)).all(|k| {
+                (low..high).all(|j| {
+                    let (a, b) = (row(j, k), row((j as i32 + y) as usize, k + z as usize));
+                    agree(&a[before.min(nx)..], &b[after.min(nx)..], most)
+                })
+            })
+        })
     }
 
     fn enter(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<(), DeviceError> {

@@ -148,10 +148,6 @@ impl Field for NestedField {
         level.field.distance_guess(p, distance)
     }
 
-    fn is_lipschitz(&self) -> bool {
-        self.levels.iter().all(|level| level.field.is_lipschitz())
-    }
-
     fn may_exceed_distance(&self) -> bool {
         self.levels.iter().any(|level| level.field.may_exceed_distance())
     }

@@ -63,16 +63,24 @@ impl Renderer {
             Place::Gpu(context) => context,
         };
         let start = Instant::now();
-        let device = self.on_device(context, scene, far.as_ref())?;
+        let mut device = self.on_device(context, scene, far.as_ref())?;
         let upload = start.elapsed().as_secs_f64();
         if let Some(timer) = &device.timer {
             timer.start();
         }
         let rendered = draw(scene, far.as_ref(), Some(&device), camera, options, progress);
-        let times = device.timer.as_ref().map(|timer| timer.finish(context));
+        // After an error some submissions may still run, so the times are not read.
+        let times = match (&rendered, &device.timer) {
+            (Ok(_), Some(timer)) => timer.finish(context),
+            _ => Ok(Vec::new()),
+        };
+        if times.is_err() {
+            // The picture is kept without its times.
+            device.timer = None;
+        }
         *self.slot() = Some(device);
         let mut rendered = rendered?;
-        rendered.device_seconds = times.transpose()?.unwrap_or_default();
+        rendered.device_seconds = times.unwrap_or_default();
         rendered.seconds.insert(0, ("upload", upload));
         Ok(rendered)
     }

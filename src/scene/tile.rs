@@ -23,7 +23,7 @@ pub(super) const TILE: usize = 8;
 /// Smallest number of evaluated surfaces in a tile for which a list is made.
 const WORTH: u32 = 8;
 
-/// Relative margin for the rounding of the radius.
+/// Margin for the rounding of the radius, scene units.
 const ROUNDING: f64 = 1e-6;
 
 /// The tiles of [`TILE`] rows of a picture, by column and instance.

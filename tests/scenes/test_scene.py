@@ -299,6 +299,20 @@ def test_shadows_end_at_the_surface_of_a_field_of_any_values(shadows: str) -> No
         assert np.array_equal(frames[0].shadow, frames[1].shadow)
 
 
+def test_hard_shadows_of_a_field_that_is_steep_along_diagonals() -> None:
+    # Neighbouring samples along the axes differ as those of a distance, but the slope across a face is sqrt(3).
+    x, y, z = np.meshgrid(*[(np.arange(64) + 0.5) / 32 - 1] * 3, indexing="ij")
+    steep = (np.abs(x) + np.abs(y) + np.abs(z) - 0.6).T.astype(np.float32)
+    camera = fb.Camera((0.4, 5.0, 3.0), (0.4, -1.0, 0.0), fov_deg=40)
+    frames = []
+    for values in (steep, steep / 2):
+        field = fb.Volume(values, [(-1, -1, -1), (1, 1, 1)])
+        scene = fb.Scene([fb.Instance(field), plane(y=-0.7)], lights=[fb.DirectionalLight((1.0, -1.0, 0.0))])
+        frames.append(fb.render(scene, camera, size=(240, 180), shadows="hard", device="cpu"))
+    assert (frames[0].shadow[frames[0].object_id == 1] == 0).sum() > 500
+    assert np.array_equal(frames[0].shadow, frames[1].shadow)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_tiny_light_casts_the_shadows_of_a_point(seed: int) -> None:
     # Rods, balls and walls of 0.1 to 2 voxels. Cones of 1e-4 radians walk past them by distances.

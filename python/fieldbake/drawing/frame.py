@@ -50,7 +50,7 @@ class Frame:
     shadow : (h, w) or (h, w, lights) float32
         Fraction of the light that arrives: 1 is lit, 0 is in shadow.
     steps : (h, w) uint32
-        Number of steps of all rays and cones of the pixel.
+        Number of steps of all rays and cones of the pixel. Nodes of trees count on the CPU only.
     rays : (h, w) uint32 or None
         Number of rays and cones to lights and surroundings that were evaluated for the centre of the pixel: 0 where
         its light is interpolated. None in pictures of :func:`raymarch`.
