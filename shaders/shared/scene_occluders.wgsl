@@ -32,8 +32,9 @@ const NOWHERE: vec2f = vec2f(1.0, 0.0);
 
 var<private> is_far: u32;
 
-// Number of nodes that the invocation visited: together with `steps`, at most MAX_STEPS. `steps` does not include them: their number depends
-// on the cut, and the order of the cones in memory, from which cuts are made, differs between runs.
+// Number of nodes that the invocation visited: together with `steps`, at most MAX_STEPS. `steps` does not include them:
+// their number depends on the cut, and the order of the cones in memory, from which cuts are made, differs between
+// runs.
 var<private> visits: u32;
 
 // ---- boxes
