@@ -43,11 +43,9 @@ struct Cone {
     is_covered: bool,
 }
 
-// The CPU traces the axis only near surfaces, and ends the walk of a whole disc at its first edge. The shares are
-// equal.
-//
 // Evaluates a cone past one occluder. Only edges closer to the axis than x_known are relevant. Without `with_edges` a
-// cone that needs a ray past an edge sets `needs_edge`.
+// cone that needs a ray past an edge sets `needs_edge`. The CPU traces the axis only near surfaces, and ends the walk
+// of a whole disc at its first edge; it finds the same shares.
 fn cone_past(caster: Caster, beam: Beam, ray: FieldRay, span: vec2f, x_known: f32, with_edges: bool) -> Cone {
     let t_hit = hit_of(caster, ray);
     if t_hit < 0.0 && x_known <= 0.0 { return Cone(1.0, false); }

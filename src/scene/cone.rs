@@ -243,6 +243,13 @@ impl ConeWalk<'_> {
         if length > 0.0 { distance / length } else { distance * self.instance.stretch[0] }
     }
 
+    /// The step from a point from which the ray may advance by `free`, where the cone has this radius. Near a surface,
+    /// half steps find the closest approach to 3 %.
+    fn step(&self, free: f32, radius: f32) -> f32 {
+        let share = if free < 2.0 * radius { 0.5 } else { 1.0 };
+        (share * free).max(self.least_step)
+    }
+
     /// The smallest clearance of the axis in radii, at most `x_known`. If the axis enters the object, returns the
     /// position of the entry as an error.
     ///
@@ -276,9 +283,7 @@ impl ConeWalk<'_> {
                     break;
                 }
             }
-            // Near a surface, half steps find the closest approach to 3 %.
-            let share = if free < 2.0 * radius { 0.5 } else { 1.0 };
-            step = (share * free).max(self.least_step);
+            step = self.step(free, radius);
             t += step;
             if t >= self.leave {
                 return Ok(x);
@@ -310,8 +315,7 @@ impl ConeWalk<'_> {
             if has_edge {
                 return Decision::Edge;
             }
-            let share = if free < 2.0 * radius { 0.5 } else { 1.0 };
-            step = (share * free).max(self.least_step);
+            step = self.step(free, radius);
             t += step;
             if t >= self.leave {
                 return Decision::Free;
