@@ -788,8 +788,11 @@ class Scene:
 class Renderer:
     """Draws frames, and keeps the data that frames share in device memory."""
 
-    def __new__(cls, device: str | None = None) -> Renderer:
-        """Raises DeviceError if ``device`` is given and not available."""
+    def __new__(cls, device: str | None = None, keeps_pictures: bool = False) -> Renderer:
+        """Raises DeviceError if ``device`` is given and not available.
+
+        With ``keeps_pictures`` a frame reuses the stages of the frame before that have the same input.
+        """
     @property
     def counters(self) -> dict[str, int]:
         """``uploads``, ``upload_bytes``, ``submits`` and ``readbacks`` of all frames."""

@@ -349,12 +349,12 @@ pub struct Renderer(scene::renderer::Renderer);
 impl Renderer {
     /// Fails if a device is given and not available.
     #[new]
-    #[pyo3(signature = (device=None))]
-    fn new(py: Python<'_>, device: Option<&str>) -> PyResult<Self> {
+    #[pyo3(signature = (device=None, keeps_pictures=false))]
+    fn new(py: Python<'_>, device: Option<&str>, keeps_pictures: bool) -> PyResult<Self> {
         if let Some(device) = device {
             choose(py, device)?;
         }
-        Ok(Self(scene::renderer::Renderer::default()))
+        Ok(Self(scene::renderer::Renderer::new(keeps_pictures)))
     }
 
     /// Transfers of all frames so far.
@@ -448,6 +448,8 @@ impl Renderer {
             }
             images.set_item(name, seconds)?;
         }
+        let stages = ["primary", "light"].into_iter().zip(rendered.reused);
+        images.set_item("reused", stages.filter(|(_, reused)| *reused).map(|(stage, _)| stage).collect::<Vec<_>>())?;
         images.set_item("sheets", rendered.sheets)?;
         images.set_item("ray_count", rendered.rays)?;
         images.set_item("far_rays", rendered.far_rays)?;

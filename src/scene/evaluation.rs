@@ -38,10 +38,11 @@ const LEAST_LATTICE: u32 = 32;
 pub(crate) const FIND_WORTH: u64 = 12;
 
 /// Number of calls of [`find`] and [`find_bounces`], by which a picture of this number of passes counts its progress.
-pub(crate) fn find_count(options: &RenderOptions, passes: u32) -> u64 {
-    let per_pass = 1 + u64::from(options.bounces.is_some());
+/// `is_lit` tells that [`find`] is not called, because its results are those of the last picture.
+pub(crate) fn find_count(options: &RenderOptions, passes: u32, is_lit: bool) -> u64 {
     // The occlusion of a first pass is computed separately from the lights, at its own scale.
-    u64::from(passes) * per_pass + u64::from(options.occlusion.is_some())
+    let direct = if is_lit { 0 } else { u64::from(passes) + u64::from(options.occlusion.is_some()) };
+    direct + u64::from(passes) * u64::from(options.bounces.is_some())
 }
 
 /// Finds the occlusion of a pass at its scale, then the light that arrives from the lights.

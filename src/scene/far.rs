@@ -51,6 +51,14 @@ pub struct FarField {
     pub distance: Option<f64>,
 }
 
+/// Far fields are equal if they have the same fields, not copies of them, and the same distance.
+impl PartialEq for FarField {
+    fn eq(&self, other: &Self) -> bool {
+        let [one, other_levels] = [self, other].map(|far| far.levels.iter().map(|level| Arc::as_ptr(level).addr()));
+        one.eq(other_levels) && self.distance == other.distance
+    }
+}
+
 impl fmt::Debug for FarField {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "FarField of {} levels from {:?}", self.levels.len(), self.distance)

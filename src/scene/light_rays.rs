@@ -123,13 +123,23 @@ pub(crate) fn clip(
 /// Rays and cones of a picture, counted by all threads.
 #[derive(Debug, Default)]
 pub(crate) struct RayCounters {
-    pub rays: AtomicU64,
-    pub far_rays: AtomicU64,
+    rays: AtomicU64,
+    far_rays: AtomicU64,
 }
 
 impl RayCounters {
+    /// Counters that start at these numbers of rays and cones, and of those that entered the far field.
+    pub(crate) fn new([rays, far_rays]: [u64; 2]) -> Self {
+        Self { rays: rays.into(), far_rays: far_rays.into() }
+    }
+
     pub(crate) fn add(&self, work: LightWork) {
         self.rays.fetch_add(u64::from(work.rays), Ordering::Relaxed);
         self.far_rays.fetch_add(u64::from(work.far_rays), Ordering::Relaxed);
+    }
+
+    /// Number of rays and cones, and of those that entered the far field.
+    pub(crate) fn counts(&self) -> [u64; 2] {
+        [&self.rays, &self.far_rays].map(|count| count.load(Ordering::Relaxed))
     }
 }

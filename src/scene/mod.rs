@@ -38,6 +38,7 @@ pub(crate) mod gbuffer;
 pub(crate) mod gpu;
 pub(crate) mod instance;
 pub(crate) mod kinds;
+pub(crate) mod last_picture;
 pub(crate) mod light;
 pub(crate) mod light_buffer;
 pub(crate) mod light_hits;

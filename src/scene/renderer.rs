@@ -5,13 +5,18 @@
 //! ([`Scene::moved`]), so its picture is the one that a new renderer would draw. Only rows that differ from those of
 //! the frame before are uploaded.
 //!
-//! On the CPU the trees of the meshes and the fields are parts of the scene, and a renderer keeps nothing.
+//! On the CPU the trees of the meshes and the fields are parts of the scene.
+//!
+//! A stage runs again only if something that it depends on has changed ([`super::last_picture`]): a frame of the same
+//! scene and camera has the surfaces of the frame before, and with lights of the same places and sizes also the light
+//! on them. Then only the colours are computed.
 
 use super::bounces::Bounces;
 use super::evaluation;
 use super::far::Far;
 use super::gbuffer::GBuffer;
 use super::gpu::DeviceScene;
+use super::last_picture::{LastPicture, LightInputs, SurfaceInputs};
 use super::light_buffer::LightBuffer;
 use super::light_rays::RayCounters;
 use super::lit_surface::Lights;
@@ -23,20 +28,34 @@ use crate::gpu::buffer::Counters;
 use crate::gpu::{Context, Place};
 use crate::progress::Progress;
 use crate::render::{Camera, Frame};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 /// Draws frames of one scene, or of scenes that share most of their objects.
-#[derive(Default)]
 pub struct Renderer {
-    /// The scene on the device that drew the last frame. A frame takes it out, so two frames at the same time do not
-    /// wait for each other; the second one uploads the scene again.
-    resident: Mutex<Option<DeviceScene>>,
+    keeps_pictures: bool,
+    /// A frame takes this out, so two frames at the same time do not wait for each other; the second one uploads the
+    /// scene again.
+    last: Mutex<Last>,
     /// Transfers of all frames.
     counters: Arc<Counters>,
 }
 
+/// Data of the last frame.
+#[derive(Default)]
+struct Last {
+    /// The scene on the device.
+    device: Option<DeviceScene>,
+    picture: Option<LastPicture>,
+}
+
 impl Renderer {
+    /// A renderer without data. With `keeps_pictures` a frame uses the surfaces and the light of the frame before where
+    /// they are the same.
+    pub fn new(keeps_pictures: bool) -> Self {
+        Self { keeps_pictures, last: Mutex::default(), counters: Arc::default() }
+    }
+
     /// Transfers of all frames.
     pub fn counters(&self) -> &Counters {
         &self.counters
@@ -47,56 +66,52 @@ impl Renderer {
     pub fn frame(
         &self,
         place: &Place,
-        scene: &Scene,
+        scene: &Arc<Scene>,
         camera: &Camera,
         options: &RenderOptions,
         progress: &Progress,
     ) -> Result<Rendered, Error> {
         check(scene, options)?;
+        if let (Place::Gpu(context), SceneShadows::Article) = (place, options.shadows) {
+            let reason = "the article's march runs on the CPU only; use device=\"cpu\"".to_owned();
+            return Err(DeviceError::NotAvailable { requested: context.label(), reason }.into());
+        }
         let far = options.far.as_ref().map(|far| Far::new(scene, far)).transpose()?;
-        let context = match place {
-            Place::Cpu => return draw(scene, far.as_ref(), None, camera, options, progress),
-            Place::Gpu(context) if options.shadows == SceneShadows::Article => {
-                let reason = "the article's march runs on the CPU only; use device=\"cpu\"".to_owned();
-                return Err(DeviceError::NotAvailable { requested: context.label(), reason }.into());
+        let surfaces = SurfaceInputs::new(place, scene, camera, options);
+        let task = Task { scene, far: far.as_ref(), surfaces, options, progress };
+        let Last { device, picture } = std::mem::take(&mut *self.last());
+        let (drawn, device) = match place {
+            Place::Cpu => (draw(task, None, picture), device),
+            Place::Gpu(context) => {
+                let start = Instant::now();
+                let mut device = self.on_device(device, context, scene, task.far)?;
+                let upload = start.elapsed().as_secs_f64();
+                (draw_timed(task, context, &mut device, picture, upload), Some(device))
             }
-            Place::Gpu(context) => context,
         };
-        let start = Instant::now();
-        let mut device = self.on_device(context, scene, far.as_ref())?;
-        let upload = start.elapsed().as_secs_f64();
-        if let Some(timer) = &device.timer {
-            timer.start();
-        }
-        let rendered = draw(scene, far.as_ref(), Some(&device), camera, options, progress);
-        // After an error some submissions may still run, so the times are not read.
-        let times = match (&rendered, &device.timer) {
-            (Ok(_), Some(timer)) => timer.finish(context),
-            _ => Ok(Vec::new()),
-        };
-        if times.is_err() {
-            // The picture is kept without its times.
-            device.timer = None;
-        }
-        *self.slot() = Some(device);
-        let mut rendered = rendered?;
-        rendered.device_seconds = times.unwrap_or_default();
-        rendered.seconds.insert(0, ("upload", upload));
-        Ok(rendered)
+        let (rendered, picture) =
+            drawn.map_or_else(|error| (Err(error), None), |(rendered, last)| (Ok(rendered), last));
+        *self.last() = Last { device, picture: picture.filter(|_| self.keeps_pictures) };
+        rendered
     }
 
     /// The scene in the memory of a device.
-    fn on_device(&self, context: &Context, scene: &Scene, far: Option<&Far>) -> Result<DeviceScene, Error> {
-        let resident = self.slot().take();
-        if let Some(mut device) = resident.filter(|device| device.context().is_same_device(context)) {
+    fn on_device(
+        &self,
+        last: Option<DeviceScene>,
+        context: &Context,
+        scene: &Scene,
+        far: Option<&Far>,
+    ) -> Result<DeviceScene, Error> {
+        if let Some(mut device) = last.filter(|device| device.context().is_same_device(context)) {
             device.update(scene, far)?;
             return Ok(device);
         }
         DeviceScene::upload(&context.counted_by(&self.counters), scene, far)
     }
 
-    fn slot(&self) -> std::sync::MutexGuard<'_, Option<DeviceScene>> {
-        self.resident.lock().unwrap_or_else(PoisonError::into_inner)
+    fn last(&self) -> MutexGuard<'_, Last> {
+        self.last.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -121,23 +136,66 @@ pub struct Rendered {
     pub sheets: usize,
     /// Whether the light pass ran on the device.
     pub is_lit_on_device: bool,
+    /// Whether the surfaces, and the light on them, are those of the last picture.
+    pub reused: [bool; 2],
 }
 
-/// Draws a scene on the CPU, or on the device that has it.
+/// A picture to draw.
+struct Task<'a> {
+    scene: &'a Scene,
+    far: Option<&'a Far>,
+    surfaces: SurfaceInputs,
+    options: &'a RenderOptions,
+    progress: &'a Progress,
+}
+
+/// Draws a scene on the device that has it, with the times of the stages there. `upload` is that of the upload, s.
+fn draw_timed(
+    task: Task<'_>,
+    context: &Context,
+    device: &mut DeviceScene,
+    last: Option<LastPicture>,
+    upload: f64,
+) -> Result<(Rendered, Option<LastPicture>), Error> {
+    if let Some(timer) = &device.timer {
+        timer.start();
+    }
+    // After an error some submissions may still run, so the times are not read.
+    let (mut rendered, picture) = draw(task, Some(device), last)?;
+    match device.timer.as_ref().map(|timer| timer.finish(context)) {
+        None => {}
+        Some(Ok(times)) => rendered.device_seconds = times,
+        // The picture is kept without its times.
+        Some(Err(_)) => device.timer = None,
+    }
+    rendered.seconds.insert(0, ("upload", upload));
+    Ok((rendered, picture))
+}
+
+/// Draws a scene on the CPU, or on the device that has it. A picture with one sample per pixel uses the surfaces and
+/// the light of the last picture if they are the same. Its own are returned for the next picture.
 fn draw(
-    scene: &Scene,
-    far: Option<&Far>,
+    task: Task<'_>,
     device: Option<&DeviceScene>,
-    camera: &Camera,
-    options: &RenderOptions,
-    progress: &Progress,
-) -> Result<Rendered, Error> {
+    last: Option<LastPicture>,
+) -> Result<(Rendered, Option<LastPicture>), Error> {
+    let Task { scene, far, surfaces, options, progress } = task;
+    let camera = &surfaces.camera;
     let sides = (options.samples as f64).sqrt().round() as u32;
     let passes = if sides == 1 { 1 } else { 1 + sides * sides };
+    let light_of = LightInputs::new(options);
+    let last = last.filter(|last| passes == 1 && last.surfaces_of == surfaces);
+    let (mut last_buffer, mut last_light, mut light_rays) = match last {
+        None => (None, None, [0; 2]),
+        Some(last) if last.light_of == light_of => (Some(last.buffer), Some(last.light), last.rays),
+        Some(last) => (Some(last.buffer), None, [0; 2]),
+    };
+    let reused = [last_buffer.is_some(), last_light.is_some()];
     // Each pass advances the progress by one for each row in which it finds surfaces, and by more for each row in which
     // it finds their light.
-    let finds = evaluation::find_count(options, passes);
-    progress.set_total((u64::from(passes) + finds * evaluation::FIND_WORTH) * u64::from(options.size[1]));
+    let draws = u64::from(passes) - u64::from(reused[0]);
+    let finds = evaluation::find_count(options, passes, reused[1]);
+    progress.set_total((draws + finds * evaluation::FIND_WORTH) * u64::from(options.size[1]));
 
     let casters = Casters { scene, far, near: None };
     let light_device = device.filter(|device| device.knows_all());
@@ -145,7 +203,7 @@ fn draw(
     let mut seconds = vec![("primary", 0.0), ("light", 0.0)];
     let bounces = Bounces::new(&casters, &lights, options, progress)?;
     seconds.extend(bounces.is_some().then_some(("bounces", 0.0)));
-    let counters = RayCounters::default();
+    let counters = RayCounters::new(light_rays);
     let mut frame: Option<Frame> = None;
     let mut pixel_rays = Vec::new();
     let mut sum: Vec<f32> = Vec::new();
@@ -158,9 +216,10 @@ fn draw(
             Some(i) => [i % sides, i / sides].map(|k| (f64::from(k) + 0.5) / f64::from(sides)),
         };
         let start = Instant::now();
-        let buffer = match device {
-            None => primary::draw(scene, camera, options, offset, progress)?,
-            Some(device) => raster::draw(scene, device, camera, options, offset, progress)?,
+        let buffer = match (last_buffer.take(), device) {
+            (Some(buffer), _) => buffer,
+            (None, None) => primary::draw(scene, camera, options, offset, progress)?,
+            (None, Some(device)) => raster::draw(scene, device, camera, options, offset, progress)?,
         };
         seconds[0].1 += start.elapsed().as_secs_f64();
         let start = Instant::now();
@@ -174,7 +233,13 @@ fn draw(
             counters: &counters,
             progress,
         };
-        let known = evaluation::find(&look, centre.as_ref().map(|(buffer, known, _)| (buffer, known)))?;
+        let known = match last_light.take() {
+            Some(known) => known,
+            None => evaluation::find(&look, centre.as_ref().map(|(buffer, known, _)| (buffer, known)))?,
+        };
+        if pass == 0 {
+            light_rays = counters.counts();
+        }
         seconds[1].1 += start.elapsed().as_secs_f64();
         let mut indirect = None;
         if let Some(bounces) = &bounces {
@@ -204,17 +269,27 @@ fn draw(
         None => [false, true],
         Some(device) => [true, raster::left_over(scene, device, options).is_some()],
     };
-    Ok(Rendered {
+    let [rays, far_rays] = counters.counts();
+    let picture = centre.filter(|_| passes == 1).map(|(buffer, light, _)| LastPicture {
+        surfaces_of: surfaces,
+        light_of,
+        buffer,
+        light,
+        rays: light_rays,
+    });
+    let rendered = Rendered {
         frame,
         pixel_rays,
         primary_on,
         sheets: scene.sheets.len(),
         is_lit_on_device: light_device.is_some(),
+        reused,
         seconds,
         device_seconds: Vec::new(),
-        rays: counters.rays.into_inner(),
-        far_rays: counters.far_rays.into_inner(),
-    })
+        rays,
+        far_rays,
+    };
+    Ok((rendered, picture))
 }
 
 /// Largest number of pixels of a picture, as for volumes.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,6 +74,55 @@ def test_frames_are_the_pictures_of_render(scene, instances, options, device) ->
 
     # The arguments of a frame are valid for that frame only.
     assert_equal(renderer.frame(CAMERA), first)
+
+
+@pytest.mark.parametrize("options", [{}, {"shadows": "hard", "ambient_occlusion": True}, {"bounces": 1}])
+def test_stages_without_changes_are_reused(instances, options, device) -> None:
+    scene = fb.Scene(instances)
+    renderer = fb.Renderer(scene, size=SIZE, device=device, **options)
+    sun = fb.DirectionalLight(SUN, angle_deg=4)
+    lamp = fb.PointLight((2, 4, 2), radius=0.2)
+    red = [fb.Material(color=(1, 0, 0)), None, None, None]
+    both = ["primary", "light"]
+    # Each frame differs from the one before in one argument.
+    frames = [
+        ({"lights": [sun, lamp]}, []),
+        ({"lights": [sun, lamp]}, both),
+        ({"lights": [replace(sun, color=(1, 0, 0)), replace(lamp, intensity=3, range=20)]}, both),
+        ({"lights": [replace(sun, angle_deg=20), lamp]}, both[:1]),
+        ({"lights": [sun, replace(lamp, position=(2, 3, 2))]}, both[:1]),
+        ({"lights": [sun, replace(lamp, radius=0.6)]}, both[:1]),
+        ({"lights": [replace(sun, direction=(0.3, -1, 0.2)), lamp]}, both[:1]),
+        ({"lights": [sun]}, both[:1]),
+        ({"lights": [sun], "materials": red}, []),
+        ({"lights": [sun], "materials": red}, both),
+        ({"lights": [sun], "transforms": [None, moved(x=-1.4), None, None]}, []),
+        ({"lights": [sun], "transforms": [None, moved(x=-1.4), None, None]}, both),
+        ({"lights": [sun], "transforms": [None, moved(x=-1.3), None, None]}, []),
+        ({"lights": [sun]}, []),
+        ({"lights": [sun], "camera": fb.Camera((1, 2, 5), (0, 0, 0))}, []),
+    ]
+    for arguments, reused in frames:
+        arguments = {"camera": CAMERA, **arguments}
+        frame = renderer.frame(**arguments)
+        assert frame.report["reused"] == reused
+        expected = fb.Renderer(scene, size=SIZE, device=device, **options).frame(**arguments)
+        assert_equal(frame, expected)
+        assert {name: frame.report[name] for name in ("rays", "far_rays", "devices")} == {
+            name: expected.report[name] for name in ("rays", "far_rays", "devices")
+        }
+
+
+def test_render_keeps_no_picture(scene) -> None:
+    assert [fb.render(scene, CAMERA, size=SIZE, device="cpu").report["reused"] for _ in range(2)] == [[], []]
+
+
+def test_only_frames_with_one_sample_a_pixel_are_reused(scene) -> None:
+    renderer = fb.Renderer(scene, size=SIZE, device="cpu", samples=4)
+    first = renderer.frame(CAMERA)
+    second = renderer.frame(CAMERA)
+    assert second.report["reused"] == []
+    assert_equal(first, second)
 
 
 def test_defaults_are_those_of_the_scene(instances) -> None:

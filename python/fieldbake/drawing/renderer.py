@@ -60,6 +60,11 @@ class Renderer:
     A frame is the picture that :func:`render` draws of the scene with the same camera, lights, transforms and
     materials: bit for bit on the CPU.
 
+    With ``samples=1`` a frame reuses the visible surfaces of the frame before if the camera, the transforms and the
+    materials are the same. If the lights have the same places and sizes too, it reuses their shadows and the occlusion:
+    other colours and intensities of the lights cost little. ``report["reused"]`` lists these stages. The renderer keeps
+    about 120 bytes of host memory for each pixel of the last frame.
+
     Examples
     --------
     >>> import fieldbake as fb
@@ -107,13 +112,15 @@ class Renderer:
             device=device,
             progress=progress,
         )
-        self._renderer = _core.Renderer(device)
+        self._renderer = _core.Renderer(device, keeps_pictures=True)
         instances = self._scene.instances
         self._core = self._scene._core(self._options.fields_of(instances), device)
         # The core has one instance for each quadric of a list.
         self._rows = np.array([len(i.thing) if isinstance(i.thing, tuple) else 1 for i in instances])
         # The materials of the last frame that replaced any, and the scene of the core with them.
         self._varied: tuple[tuple[Material | None, ...], _core.Scene] | None = None
+        # The last scene of the core that was moved, its transforms, and the moved scene.
+        self._moved: tuple[_core.Scene, NDArray[np.float64], _core.Scene] | None = None
 
     @property
     def scene(self) -> Scene:
@@ -172,7 +179,7 @@ class Renderer:
         core = self._core if materials is None else self._with_materials(materials)
         bounds = self._scene.bounds
         if matrices is not None:
-            core = core.moved(np.repeat(matrices, self._rows, axis=0))
+            core = self._moved_to(core, matrices)
             boxes = np.stack([i.bounds_at(m) for i, m in zip(self._scene.instances, matrices, strict=True)])
             bounds = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
         return self._options.draw(self._renderer, core, self._scene, camera, lights, bounds)
@@ -216,6 +223,14 @@ class Renderer:
         for number, matrix in enumerate(matrices):
             checks.affine(f"transforms[{number}]", matrix, SceneError)
         return matrices
+
+    def _moved_to(self, core: _core.Scene, matrices: NDArray[np.float64]) -> _core.Scene:
+        """The scene of the core with other transforms."""
+        last = self._moved
+        if last is None or last[0] is not core or not np.array_equal(last[1], matrices):
+            last = core, matrices, core.moved(np.repeat(matrices, self._rows, axis=0))
+            self._moved = last
+        return last[2]
 
     def _with_materials(self, materials: Any) -> _core.Scene:
         """The scene of the core with other materials."""

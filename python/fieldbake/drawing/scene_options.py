@@ -186,6 +186,7 @@ def _frame_of(result: dict[str, Any], scene: Scene, lights: int) -> Frame:
         "devices": {"primary": result["primary_on"], "light": result["light_on"]},
         "milliseconds": {stage: 1e3 * duration for stage, duration in seconds.items()},
         "device_milliseconds": {stage: 1e3 * duration for stage, duration in result["device_seconds"].items()},
+        "reused": result["reused"],
         "instances": len(scene.instances),
         "lights": lights,
         "sheets": result["sheets"],

@@ -1,0 +1,80 @@
+//! The visible surfaces of the last picture and the light on them, kept for a next picture that has the same ones.
+
+use super::far::FarField;
+use super::gbuffer::GBuffer;
+use super::light_buffer::LightBuffer;
+use super::{Light, Primary, RenderOptions, Scene, SceneShadows};
+use crate::gpu::{Context, Place};
+use crate::render::Camera;
+use glam::DVec3;
+use std::sync::Arc;
+
+/// The surfaces of a picture with one sample per pixel, and the light on them.
+pub(crate) struct LastPicture {
+    pub surfaces_of: SurfaceInputs,
+    pub light_of: LightInputs,
+    pub buffer: GBuffer,
+    pub light: LightBuffer,
+    /// Number of rays and cones of the light, and of those that entered the far field.
+    pub rays: [u64; 2],
+}
+
+/// Everything on which the visible surfaces of a picture depend.
+pub(crate) struct SurfaceInputs {
+    pub scene: Arc<Scene>,
+    pub context: Option<Arc<Context>>,
+    pub camera: Camera,
+    pub size: [u32; 2],
+    pub primary: Primary,
+}
+
+impl SurfaceInputs {
+    pub(crate) fn new(place: &Place, scene: &Arc<Scene>, camera: &Camera, options: &RenderOptions) -> Self {
+        let context = match place {
+            Place::Cpu => None,
+            Place::Gpu(context) => Some(context.clone()),
+        };
+        Self { scene: scene.clone(), context, camera: *camera, size: options.size, primary: options.primary }
+    }
+}
+
+impl PartialEq for SurfaceInputs {
+    fn eq(&self, other: &Self) -> bool {
+        let is_same_place = match (&self.context, &other.context) {
+            (None, None) => true,
+            (Some(one), Some(other)) => one.is_same_device(other),
+            _ => false,
+        };
+        is_same_place
+            && Arc::ptr_eq(&self.scene, &other.scene)
+            && (self.camera, self.size, self.primary) == (other.camera, other.size, other.primary)
+    }
+}
+
+/// Everything but the surfaces on which the fractions of the light on them depend. The colours of the lights are not
+/// among it.
+#[derive(PartialEq)]
+pub(crate) struct LightInputs {
+    /// Direction or position of each light, and the size of its disc or ball.
+    sources: Vec<(bool, DVec3, f64)>,
+    shadows: SceneShadows,
+    occlusion: Option<f64>,
+    far: Option<FarField>,
+    light_scale: u32,
+}
+
+impl LightInputs {
+    pub(crate) fn new(options: &RenderOptions) -> Self {
+        let source = |light: &Light| match *light {
+            Light::Directional { direction, slope, .. } => (false, direction, f64::from(slope)),
+            Light::Point { position, radius, .. } => (true, position, radius),
+        };
+        Self {
+            sources: options.lights.iter().map(source).collect(),
+            shadows: options.shadows,
+            occlusion: options.occlusion,
+            far: options.far.clone(),
+            light_scale: options.light_scale,
+        }
+    }
+}
