@@ -1,8 +1,8 @@
 //! Fields divided into cubic blocks of cells, for ray marching.
 //!
 //! Cell -1 of the grid is the first cell of block 0. [`super::empty`] gives the distance that a ray may leap; elsewhere
-//! the ray visits the cells of a block one by one. An implementation states which of its blocks contain a surface, and
-//! the corners of their cells.
+//! the ray visits the cells of a block one by one. An implementation states which of its blocks and cells may contain a
+//! surface, and the corners of these cells.
 
 use crate::error::{ArgumentError, Error};
 use crate::progress::Progress;
@@ -17,12 +17,17 @@ pub trait Blocks: Trilinear {
     type Block<'b>: Block
     where
         Self: 'b;
+    /// Data of the blocks from the signs of all samples, computed once.
+    type Signs: std::fmt::Debug + Clone + Send + Sync;
 
-    /// Whether each block, x fastest, has a corner that is <= 0. Fails if a value is not finite or too large.
-    fn occupied(&self, progress: &Progress) -> Result<Vec<bool>, Error>;
+    /// Reads all samples. Fails if a value is not finite or too large.
+    fn signs(&self, progress: &Progress) -> Result<Self::Signs, Error>;
+
+    /// Whether each block, x fastest, has a corner that is <= 0.
+    fn occupied(&self, signs: &Self::Signs) -> Vec<bool>;
 
     /// The cells of a block that contains a surface.
-    fn block(&self, index: [i32; 3]) -> Self::Block<'_>;
+    fn block<'b>(&'b self, signs: &'b Self::Signs, index: [i32; 3]) -> Self::Block<'b>;
 
     /// Number of blocks along each axis. The cells run from -1 to n - 1: n + 1 cells.
     fn block_counts(&self) -> [usize; 3] {
@@ -53,73 +58,133 @@ pub trait Block {
     fn contains(&self, axis: usize, cell: i32) -> bool;
     /// The samples at the corners of a cell that may contain a root; None if all are above zero.
     fn corners_around_root(&self, cell: [i32; 3]) -> Option<[f32; 8]>;
+    /// The cells of a cube that may contain a root. `side` is the number of cells along its sides, a divisor of the
+    /// side of the block, and divides the index `first` of its first cell.
+    fn occupancy(&self, first: [i32; 3], side: i32) -> Occupancy;
+}
+
+/// The cells of a cube that may contain a root.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Occupancy {
+    Empty,
+    /// Some cells, or an unknown number.
+    Mixed,
+    /// All cells.
+    Full,
 }
 
 /// Largest magnitude of a field value. The coefficients of a cell's cubic are up to ten times as large.
 pub(super) const LARGEST_VALUE: f32 = 1e37;
 
+/// Side of a block of a dense field, voxels.
+const SIDE: usize = 4;
+
+/// The cells of a dense block with a corner that is <= 0: bit x + 4 y + 16 z.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct BlockMask(u64);
+
 impl<T: Texel> Blocks for FieldView<'_, T> {
-    const SIDE: i32 = 4;
+    const SIDE: i32 = SIDE as i32;
     type Block<'b>
         = DenseBlock<'b, T>
     where
         Self: 'b;
+    type Signs = Vec<BlockMask>;
 
-    fn occupied(&self, progress: &Progress) -> Result<Vec<bool>, Error> {
+    fn signs(&self, progress: &Progress) -> Result<Vec<BlockMask>, Error> {
         let [bx, by, bz] = self.block_counts();
-        let side = Self::SIDE as usize;
         let grid = *self.grid();
-        let mut occupied = vec![false; bx * by * bz];
-        occupied.par_chunks_mut(bx * by).enumerate().try_for_each(|(z_block, slice)| {
+        let [nx, ny, nz] = grid.shape;
+        let mut masks = vec![BlockMask::default(); bx * by * bz];
+        masks.par_chunks_mut(bx * by).enumerate().try_for_each(|(z_block, slice)| {
             progress.check()?;
-            let mut row = vec![0.0; grid.shape[0]];
-            // Voxels that are corners of the block's cells: from one before the upper corner of its first cell to its
-            // end.
-            let voxels = |block: usize, n: usize| (block * side).saturating_sub(1)..(block * side + side).min(n);
-            for y_block in 0..by {
-                let row_of_blocks = &mut slice[y_block * bx..][..bx];
-                for z in voxels(z_block, grid.shape[2]) {
-                    for y in voxels(y_block, grid.shape[1]) {
-                        let texels = &self.texels()[grid.offset(0, y, z)..][..grid.shape[0]];
-                        for (value, texel) in row.iter_mut().zip(texels) {
-                            *value = texel.decode(self.scale());
-                        }
-                        check_row(&row, y, z)?;
-                        for (x_block, occupied) in row_of_blocks.iter_mut().enumerate() {
-                            let lowest = row[voxels(x_block, row.len())].iter().copied().fold(f32::INFINITY, f32::min);
-                            *occupied |= lowest <= 0.0;
+            let mut row = vec![0.0; nx];
+            let mut cells = vec![0; (nx + 1).div_ceil(64)];
+            // The corners of the block's cells along z.
+            for z in (z_block * SIDE).saturating_sub(1)..(z_block * SIDE + SIDE).min(nz) {
+                let layers = around_sample(z, z_block, SIDE * SIDE);
+                for y in 0..ny {
+                    let texels = &self.texels()[grid.offset(0, y, z)..][..nx];
+                    for (value, texel) in row.iter_mut().zip(texels) {
+                        *value = texel.decode(self.scale());
+                    }
+                    check_row(&row, y, z)?;
+                    cells_beside(texels, &mut cells);
+                    for y_block in y / SIDE..=(y + 1) / SIDE {
+                        let rows = layers * around_sample(y, y_block, SIDE);
+                        let masks = &mut slice[y_block * bx..][..bx];
+                        for (masks, &cells) in masks.chunks_mut(64 / SIDE).zip(&cells).filter(|(_, cells)| **cells != 0)
+                        {
+                            for (i, mask) in masks.iter_mut().enumerate() {
+                                mask.0 |= (cells >> (SIDE * i) & 0xf) * rows;
+                            }
                         }
                     }
                 }
             }
             Ok::<(), Error>(())
         })?;
-        Ok(occupied)
+        Ok(masks)
+    }
+
+    fn occupied(&self, signs: &Vec<BlockMask>) -> Vec<bool> {
+        signs.iter().map(|mask| mask.0 != 0).collect()
     }
 
     #[inline]
-    fn block(&self, index: [i32; 3]) -> DenseBlock<'_, T> {
-        DenseBlock::new(*self, index)
+    fn block<'b>(&'b self, signs: &'b Vec<BlockMask>, index: [i32; 3]) -> DenseBlock<'b, T> {
+        DenseBlock::new(*self, signs, index)
     }
 }
 
-impl<'a, T: Texel> DenseBlock<'a, T> {
-    pub fn new(field: FieldView<'a, T>, index: [i32; 3]) -> Self {
-        Self { field, index }
+/// A bit for each layer of cells in a block beside the layer of samples `i`: cells i - 1 and i. The bits of
+/// neighbouring layers are `step` apart.
+fn around_sample(i: usize, block: usize, step: usize) -> u64 {
+    // The first cell of block 0 is cell -1.
+    (i..i + 2).filter(|&cell| cell / SIDE == block).map(|cell| 1 << (cell % SIDE * step)).sum()
+}
+
+/// Bits of the cells of a row, from cell -1, beside a sample that is not above zero.
+fn cells_beside<T: Texel>(texels: &[T], cells: &mut [u64]) {
+    let mut carry = 0;
+    for (i, cells) in cells.iter_mut().enumerate() {
+        let texels = &texels[(64 * i).min(texels.len())..];
+        let mut bytes = [0u8; 64];
+        for (byte, texel) in bytes.iter_mut().zip(texels) {
+            *byte = u8::from(!texel.is_above_zero());
+        }
+        let mut bits = 0;
+        for (j, bytes) in bytes.chunks_exact(8).enumerate() {
+            // The product has bit 8 k of the factor, which is byte k, at bit 56 + k.
+            let bytes = bytes.iter().rev().fold(0, |word, &byte| word << 8 | u64::from(byte));
+            bits |= (bytes.wrapping_mul(0x0102_0408_1020_4080) >> 56) << (8 * j);
+        }
+        *cells = bits | bits << 1 | carry;
+        carry = bits >> 63;
     }
 }
 
-/// A block of a dense field. Its cells are single voxels with the indices of the grid.
+/// A block of a dense field. Its cells are single voxels.
 #[derive(Debug, Clone, Copy)]
 pub struct DenseBlock<'a, T = f32> {
     field: FieldView<'a, T>,
-    index: [i32; 3],
+    mask: BlockMask,
+    origin: [i32; 3],
+}
+
+impl<'a, T: Texel> DenseBlock<'a, T> {
+    #[inline]
+    pub fn new(field: FieldView<'a, T>, signs: &[BlockMask], [x, y, z]: [i32; 3]) -> Self {
+        let [bx, by, _] = field.block_counts();
+        let mask = signs[x as usize + bx * (y as usize + by * z as usize)];
+        Self { field, mask, origin: [x, y, z].map(FieldView::<T>::first_cell) }
+    }
 }
 
 impl<T: Texel> Block for DenseBlock<'_, T> {
     #[inline]
     fn origin(&self) -> [i32; 3] {
-        [0; 3]
+        self.origin
     }
 
     #[inline]
@@ -128,15 +193,29 @@ impl<T: Texel> Block for DenseBlock<'_, T> {
     }
 
     #[inline]
-    fn contains(&self, axis: usize, cell: i32) -> bool {
-        FieldView::<T>::block_of(cell) == self.index[axis]
+    fn contains(&self, _: usize, cell: i32) -> bool {
+        (0..SIDE as i32).contains(&cell)
     }
 
     #[inline]
-    fn corners_around_root(&self, cell: [i32; 3]) -> Option<[f32; 8]> {
-        let texels = self.field.texels_around(IVec3::from(cell));
-        let all_above_zero = texels.iter().fold(true, |all, texel| all & texel.is_above_zero());
-        if all_above_zero { None } else { Some(self.field.decode(texels)) }
+    fn corners_around_root(&self, [x, y, z]: [i32; 3]) -> Option<[f32; 8]> {
+        let may_contain_root = self.mask.0 >> ((x + 4 * y + 16 * z) & 63) & 1 == 1;
+        may_contain_root.then(|| self.field.corners(IVec3::from(self.origin) + IVec3::new(x, y, z)))
+    }
+
+    #[inline]
+    fn occupancy(&self, [x, y, z]: [i32; 3], side: i32) -> Occupancy {
+        // The cells of the cube at the origin.
+        let cube = match side {
+            1 => 1,
+            2 => 0x0033_0033,
+            _ => u64::MAX,
+        };
+        match self.mask.0 >> ((x + 4 * y + 16 * z) & 63) & cube {
+            0 => Occupancy::Empty,
+            cells if cells == cube => Occupancy::Full,
+            _ => Occupancy::Mixed,
+        }
     }
 }
 
@@ -159,7 +238,7 @@ mod tests {
 
     fn empty_space(field: &FieldView<'_>) -> Result<EmptySpace, Error> {
         let progress = Progress::new();
-        EmptySpace::new(field.block_counts(), &field.occupied(&progress)?, &progress)
+        EmptySpace::new(field.block_counts(), &field.occupied(&field.signs(&progress)?), &progress)
     }
 
     fn grid(shape: [usize; 3]) -> Grid {
@@ -169,26 +248,34 @@ mod tests {
     proptest! {
         #[test]
         fn distances_are_those_of_brute_force(
-            shape in prop::array::uniform3(1..20usize),
-            solid in prop::collection::vec(prop::array::uniform3(0..20usize), 0..4),
+            shape in (1..120usize, 1..20usize, 1..20usize),
+            solid in prop::collection::vec((0..120usize, 0..20usize, 0..20usize), 0..4),
         ) {
-            let grid = grid(shape);
+            let grid = grid(shape.into());
             let mut values = vec![1.0; grid.len()];
-            for [x, y, z] in solid {
-                values[grid.offset(x % shape[0], y % shape[1], z % shape[2])] = -1.0;
+            for (x, y, z) in solid {
+                values[grid.offset(x % shape.0, y % shape.1, z % shape.2)] = -1.0;
             }
             let field = FieldView::new(grid, &values).unwrap();
             let empty = empty_space(&field).unwrap();
+            let signs = field.signs(&Progress::new()).unwrap();
 
-            let [nx, ny, nz] = shape.map(|n| n as i32);
+            let [nx, ny, nz] = grid.shape.map(|n| n as i32);
             let cells = |n: i32| -1..n;
             let mut occupied = Vec::new();
             for z in cells(nz) {
                 for y in cells(ny) {
                     for x in cells(nx) {
                         let cell = IVec3::new(x, y, z);
-                        if field.corners(cell).iter().any(|&value| value <= 0.0) {
-                            occupied.push(IVec3::from(cell.to_array().map(<FieldView<'_> as Blocks>::block_of)));
+                        let index = cell.to_array().map(<FieldView<'_> as Blocks>::block_of);
+                        let block = field.block(&signs, index);
+                        let local = cell - IVec3::from(block.origin());
+                        let corners = field.corners(cell);
+                        let may_contain_root = corners.iter().any(|&value| value <= 0.0);
+                        let expected = may_contain_root.then_some(corners);
+                        prop_assert_eq!(block.corners_around_root(local.to_array()), expected);
+                        if may_contain_root {
+                            occupied.push(IVec3::from(index));
                         }
                     }
                 }

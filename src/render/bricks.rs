@@ -4,7 +4,7 @@
 //! computed once from the signs of the samples, records this: 64 bytes per brick, one cache line, whereas the samples
 //! of a cell lie in two to four lines. Samples are therefore decoded only where a root may lie.
 
-use super::blocks::{Block, Blocks, LARGEST_VALUE};
+use super::blocks::{Block, Blocks, LARGEST_VALUE, Occupancy};
 use crate::error::{ArgumentError, Error};
 use crate::grid::Grid;
 use crate::progress::Progress;
@@ -119,18 +119,23 @@ impl<T: Texel> Blocks for MaskedBricks<'_, T> {
         = MaskedBrick<'b, T>
     where
         Self: 'b;
+    type Signs = ();
 
-    fn occupied(&self, _: &Progress) -> Result<Vec<bool>, Error> {
+    fn signs(&self, _: &Progress) -> Result<(), Error> {
+        Ok(())
+    }
+
+    fn occupied(&self, (): &()) -> Vec<bool> {
         let is_occupied: Vec<bool> = self.masks.iter().map(CellMask::any).collect();
         let entry = |&word: &u32| match Entry::from_word(word) {
             Entry::Stored { brick, .. } => is_occupied[brick as usize],
             Entry::Empty { inside } => inside,
         };
-        Ok(self.view.index().iter().map(entry).collect())
+        self.view.index().iter().map(entry).collect()
     }
 
     #[inline]
-    fn block(&self, index: [i32; 3]) -> MaskedBrick<'_, T> {
+    fn block<'b>(&'b self, (): &'b (), index: [i32; 3]) -> MaskedBrick<'b, T> {
         match self.view.entry(index) {
             Entry::Stored { level, brick } => {
                 MaskedBrick::Stored { mask: &self.masks[brick as usize], brick: self.view.brick(index, level, brick) }
@@ -174,6 +179,14 @@ impl<T: Texel> Block for MaskedBrick<'_, T> {
         match self {
             Self::Stored { mask, brick } => mask.contains(cell).then(|| brick.corners(cell)),
             Self::Inside { .. } => Some([-1.0; 8]),
+        }
+    }
+
+    #[inline]
+    fn occupancy(&self, _: [i32; 3], _: i32) -> Occupancy {
+        match self {
+            Self::Stored { .. } => Occupancy::Mixed,
+            Self::Inside { .. } => Occupancy::Full,
         }
     }
 }

@@ -9,6 +9,7 @@ use super::gpu_fields::{MarchedField, nested_grid};
 use super::march::{Marcher, clip_to_box};
 use super::options::{Filter, RaymarchOptions};
 use super::shade::{PixelHit, Shader};
+use super::tiles::Tiles;
 use crate::encoding::Encoding;
 use crate::error::{ArgumentError, Error};
 use crate::gpu::{Context, Place};
@@ -38,6 +39,7 @@ pub fn raymarch<F: Blocks>(
     let view = RaymarchView {
         camera,
         spacing: marcher.field.grid().spacing(),
+        tiles: Tiles::new(&marcher, camera, options.size),
         shape: marcher.field.shape(),
         marcher: &marcher,
         shader,
@@ -167,9 +169,10 @@ fn draw_on_device(
 }
 
 /// Data shared by all pixels.
-struct RaymarchView<'a, F> {
+struct RaymarchView<'a, F: Blocks> {
     camera: &'a Camera,
     spacing: DVec3,
+    tiles: Tiles,
     shape: DVec3,
     marcher: &'a Marcher<F>,
     shader: Shader<'a, F>,
@@ -181,17 +184,20 @@ impl<F: Blocks> RaymarchView<'_, F> {
     fn draw_pixel(&self, x: usize, y: usize, row: &mut Row<'_>) {
         row.color[4 * x..][..4].copy_from_slice(&self.options.background);
 
+        let Some(depths) = self.tiles.depths(x, y) else { return };
         // Multiples of `direction` are depths, in world and in grid space.
         let start = self.camera.pixel_start(x as u32, y as u32, self.options.size);
         let direction = self.camera.pixel_direction(x as u32, y as u32, self.options.size);
         let start_grid = self.marcher.field.grid_from_world(start);
         let direction_grid = direction / self.spacing;
         let Some(clipped) = clip_to_box(start_grid, direction_grid, self.shape) else { return };
-        let march = self.marcher.trace(&clipped.ray, self.options.filter);
+        let voxels_per_depth = direction_grid.length();
+        let Some(ray) = clipped.between(depths, voxels_per_depth) else { return };
+        let march = self.marcher.trace(&ray, self.options.filter);
         row.steps[x] = march.steps;
         let Some(hit) = march.hit else { return };
 
-        let p_grid = clipped.ray.origin + hit.t * clipped.ray.direction;
+        let p_grid = ray.origin + hit.t * ray.direction;
         let to_eye = -direction.normalize().as_vec3();
         // The hit lies on a face of the box, which cuts the solid, or on a face of a voxel.
         let face = if hit.at_start { clipped.enter_axis } else { hit.face };
@@ -209,7 +215,7 @@ impl<F: Blocks> RaymarchView<'_, F> {
         let color = self.shader.shade(&PixelHit { p_grid, normal, to_eye }, shadow);
 
         row.color[4 * x..][..4].copy_from_slice(&[color.x, color.y, color.z, 1.0]);
-        row.depth[x] = (clipped.t_enter + hit.t as f64 / direction_grid.length()) as f32;
+        row.depth[x] = (clipped.t_enter + hit.t as f64 / voxels_per_depth) as f32;
         row.normal[3 * x..][..3].copy_from_slice(&normal.to_array());
         row.object_id[x] = 0;
     }

@@ -77,7 +77,7 @@ impl MarchedField {
     ) -> Result<Self, Error> {
         check_sides(view.grid().shape.iter().sum())?;
         let bricks = MaskedBricks::new(view, progress)?;
-        let empty = EmptySpace::new(bricks.block_counts(), &bricks.occupied(progress)?, progress)?;
+        let empty = EmptySpace::new(bricks.block_counts(), &bricks.occupied(&()), progress)?;
 
         let (params, nodes) = view.for_devices();
         let mut buffers = Vec::from(stored(context, "bricks", view.texels(), view.scale())?);

@@ -37,7 +37,9 @@ pub struct GridRay {
     pub origin: Vec3,
     /// Unit length; grid space, so lengths along the ray are in voxels.
     pub direction: Vec3,
-    /// The `t` at which the ray leaves the box.
+    /// The `t` at which the search begins, in the box. The field is above zero before.
+    pub t_min: f32,
+    /// The `t` at which the search ends, at most where the ray leaves the box.
     pub t_max: f32,
 }
 
@@ -49,6 +51,17 @@ pub(crate) struct BoxClip {
     pub t_enter: f64,
     /// Axis of the face through which the ray enters; None if it starts inside.
     pub enter_axis: Option<usize>,
+}
+
+impl BoxClip {
+    /// The part of the ray between two depths, multiples of the given direction; `None` if it is empty. The direction
+    /// has a length of `voxels_per_depth` voxels.
+    #[inline]
+    pub(crate) fn between(&self, depths: [f64; 2], voxels_per_depth: f64) -> Option<GridRay> {
+        let [near, far] = depths.map(|depth| ((depth - self.t_enter) * voxels_per_depth) as f32);
+        let (t_min, t_max) = (near.max(0.0), far.min(self.ray.t_max));
+        (t_min <= t_max).then_some(GridRay { t_min, t_max, ..self.ray })
+    }
 }
 
 /// The part of a ray inside the box of `shape` voxels, in grid space; `None` if it misses.
@@ -81,6 +94,7 @@ pub(crate) fn clip_to_box(origin: DVec3, direction: DVec3, shape: DVec3) -> Opti
     let ray = GridRay {
         origin: (origin + t_enter * direction).as_vec3(),
         direction: (direction / voxels_per_t).as_vec3(),
+        t_min: 0.0,
         t_max: ((t_leave - t_enter) * voxels_per_t) as f32,
     };
     Some(BoxClip { ray, t_enter, enter_axis })
@@ -106,16 +120,18 @@ pub struct March {
 
 /// A field prepared for rays.
 #[derive(Debug, Clone)]
-pub struct Marcher<F> {
+pub struct Marcher<F: Blocks> {
     pub field: F,
+    signs: F::Signs,
     empty: EmptySpace,
 }
 
 impl<F: Blocks> Marcher<F> {
     /// Fails if a distance is not finite or too large.
     pub fn new(field: F, progress: &Progress) -> Result<Self, Error> {
-        let empty = EmptySpace::new(field.block_counts(), &field.occupied(progress)?, progress)?;
-        Ok(Self { field, empty })
+        let signs = field.signs(progress)?;
+        let empty = EmptySpace::new(field.block_counts(), &field.occupied(&signs), progress)?;
+        Ok(Self { field, signs, empty })
     }
 
     /// The empty blocks of the field.
@@ -123,13 +139,19 @@ impl<F: Blocks> Marcher<F> {
         &self.empty
     }
 
+    /// A block that is not empty.
+    #[inline]
+    pub(super) fn block(&self, index: [i32; 3]) -> F::Block<'_> {
+        self.field.block(&self.signs, index)
+    }
+
     /// Traces a ray to its first hit with the trilinear field.
     pub fn march(&self, ray: &GridRay) -> March {
         let shape = self.field.grid().shape;
         let shape = each_axis(|axis| shape[axis] as i32);
         let line = MarchLine::new(ray);
-        let mut t = 0.0f32;
-        let mut cell = each_axis(|axis| floor(line.origin[axis]).clamp(-1, shape[axis] - 1));
+        let mut t = ray.t_min;
+        let mut cell = each_axis(|axis| floor(line.origin[axis] + t * line.direction[axis]).clamp(-1, shape[axis] - 1));
 
         // Every iteration except the last advances by at least one cell, and never moves back along an axis.
         let max_steps = (shape[0] + shape[1] + shape[2] + 4) as u32;
@@ -141,35 +163,32 @@ impl<F: Blocks> Marcher<F> {
             // Leaps to the face of the empty cube around the block.
             if distance > 0 {
                 steps += 1;
-                let first = each_axis(|axis| F::first_cell(index[axis] - (distance - 1)));
                 let cells = (2 * distance - 1) * F::SIDE;
-                let face = each_axis(|axis| if line.forward[axis] { first[axis] + cells } else { first[axis] });
-                let t_faces = each_axis(|axis| line.t_at(axis, face[axis]));
-                let next = first_axis(&t_faces);
-                t = if t_faces[next] > t { t_faces[next] } else { t };
+                let face = each_axis(|axis| F::first_cell(index[axis] - (distance - 1)) + cells * line.far[axis]);
+                let (next, t_face) = first_axis(&each_axis(|axis| line.t_at(axis, face[axis])));
+                t = if t_face > t { t_face } else { t };
                 if t >= ray.t_max {
                     return March { hit: None, steps };
                 }
-                // The new cell is exact along the axis of the face, and never moves back along the others.
-                for axis in 0..3 {
+                cell = each_axis(|axis| {
+                    // The new cell is exact along the axis of the face, and never moves back along the others.
                     let here = floor(line.origin[axis] + t * line.direction[axis]);
                     let moved = if line.forward[axis] { here.max(cell[axis]) } else { here.min(cell[axis]) };
-                    cell[axis] = moved.clamp(-1, shape[axis] - 1);
-                }
-                cell[next] = (if line.forward[next] { face[next] } else { face[next] - 1 }).clamp(-1, shape[next] - 1);
+                    let entered = face[axis] + line.far[axis] - 1;
+                    (if axis == next { entered } else { moved }).clamp(-1, shape[axis] - 1)
+                });
                 continue;
             }
 
             // Visits the cells up to the face of the block.
-            let block = self.field.block(index);
+            let block = self.block(index);
             let (origin, shift) = (block.origin(), block.cell_shift());
             let mut local = each_axis(|axis| (cell[axis] - origin[axis]) >> shift);
-            let face = |axis: usize, local: i32| origin[axis] + (line.far_side(axis, local) << shift);
-            let mut t_faces = each_axis(|axis| line.t_at(axis, face(axis, local[axis])));
             loop {
                 steps += 1;
-                let next = first_axis(&t_faces);
-                let t_face = if t_faces[next] > t { t_faces[next] } else { t };
+                let face = |axis: usize| origin[axis] + ((local[axis] + line.far[axis]) << shift);
+                let (next, t_face) = first_axis(&each_axis(|axis| line.t_at(axis, face(axis))));
+                let t_face = if t_face > t { t_face } else { t };
                 let t_end = if t_face < ray.t_max { t_face } else { ray.t_max };
                 if let Some(corners) = block.corners_around_root(local) {
                     let corner = each_axis(|axis| origin[axis] + (local[axis] << shift));
@@ -181,9 +200,9 @@ impl<F: Blocks> Marcher<F> {
                     return March { hit: None, steps };
                 }
                 t = t_end;
-                local[next] += if line.forward[next] { 1 } else { -1 };
-                if !block.contains(next, local[next]) {
-                    for axis in 0..3 {
+                local = each_axis(|axis| local[axis] + if axis == next { 2 * line.far[axis] - 1 } else { 0 });
+                if !(block.contains(0, local[0]) && block.contains(1, local[1]) && block.contains(2, local[2])) {
+                    cell = each_axis(|axis| {
                         let low = origin[axis] + (local[axis] << shift);
                         let high = low + (1 << shift) - 1;
                         // A cell of several voxels is left at the position of the ray. Along the axis of the face the
@@ -195,11 +214,10 @@ impl<F: Blocks> Marcher<F> {
                         } else {
                             low
                         };
-                        cell[axis] = here.clamp(-1, shape[axis] - 1);
-                    }
+                        here.clamp(-1, shape[axis] - 1)
+                    });
                     break;
                 }
-                t_faces[next] = line.t_at(next, face(next, local[next]));
             }
         }
         debug_assert!(false, "a ray took more than {max_steps} steps: {ray:?}");
@@ -216,10 +234,12 @@ pub(super) fn each_axis<T>(value: impl Fn(usize) -> T) -> [T; 3] {
 /// A ray and its constants.
 pub(super) struct MarchLine {
     pub(super) origin: [f32; 3],
-    direction: [f32; 3],
+    pub(super) direction: [f32; 3],
     /// `t` per voxel; 0 where the ray is parallel to the faces.
     inverse: [f32; 3],
     pub(super) forward: [bool; 3],
+    /// The side through which the ray leaves a cell: 0 lower, 1 upper.
+    far: [i32; 3],
 }
 
 impl MarchLine {
@@ -227,13 +247,8 @@ impl MarchLine {
         let direction = ray.direction.to_array();
         let inverse =
             each_axis(|axis| if direction[axis].abs() < PARALLEL_DIRECTION { 0.0 } else { 1.0 / direction[axis] });
-        Self { origin: ray.origin.to_array(), direction, inverse, forward: each_axis(|axis| direction[axis] > 0.0) }
-    }
-
-    /// The side through which the ray leaves a cell along an axis: 0 lower, 1 upper.
-    #[inline]
-    fn far_side(&self, axis: usize, cell: i32) -> i32 {
-        if self.forward[axis] { cell + 1 } else { cell }
+        let forward = each_axis(|axis| direction[axis] > 0.0);
+        Self { origin: ray.origin.to_array(), direction, inverse, forward, far: forward.map(i32::from) }
     }
 
     /// The `t` at which the ray crosses a face of a cell.
@@ -262,17 +277,12 @@ fn hit_in_cell(corners: &[f32; 8], ray: &GridRay, first: [i32; 3], shift: u32, t
     Some(FieldHit { t: t + s, at_start: t + s == 0.0 && cubic.c0 <= 0.0, face: None })
 }
 
-/// The axis whose face comes first.
-#[inline]
-pub(super) fn first_axis(t_faces: &[f32; 3]) -> usize {
-    let [x, y, z] = *t_faces;
-    if x <= y && x <= z {
-        0
-    } else if y <= z {
-        1
-    } else {
-        2
-    }
+/// The axis whose face comes first, and its `t`. Arrays in the loops of rays are read at constant indices only, so that
+/// they stay in registers.
+#[inline(always)]
+pub(super) fn first_axis(&[x, y, z]: &[f32; 3]) -> (usize, f32) {
+    let first = if x <= y { (0, x) } else { (1, y) };
+    if first.1 <= z { first } else { (2, z) }
 }
 
 /// Rounds a grid coordinate down. It is at least -1/2 in the box; after adding one, truncation rounds down.

@@ -5,7 +5,8 @@
 //! For each pixel, a ray through its centre ([`camera`]) is clipped to the box of the grid and traced to the first root
 //! of the trilinear field ([`march`], [`empty`], [`cubic`]), then shaded ([`shade`]). The ray is computed in f64 and
 //! transformed to grid space, where voxel centres are integers and f32 is precise enough at any scale and offset of the
-//! world. Everything after that is f32 with bounded loops, so that a shader can do the same.
+//! world. Everything after that is f32 with bounded loops, so that a shader can do the same. On the CPU, tiles of
+//! pixels shorten their rays to the depths of the surface ([`tiles`]).
 //!
 //! The picture shows the solid "field <= 0, inside the box". Where the box cuts it, the cut is drawn as a flat face. A
 //! camera inside the solid sees it at depth 0. With [`Filter::Nearest`] the field is constant in each voxel
@@ -30,6 +31,7 @@ mod gpu_tests;
 pub(crate) mod march;
 pub(crate) mod options;
 pub(crate) mod shade;
+mod tiles;
 mod voxels;
 
 pub use camera::Camera;

@@ -11,9 +11,10 @@
 //! size is that of a voxel. A side that faces away from a light receives none of it.
 
 use super::blocks::Blocks;
-use super::march::{Marcher, clip_to_box, floor};
+use super::march::{Marcher, clip_to_box, each_axis, floor};
 use super::{DirectionalLight, RaymarchOptions, Shadows};
 use crate::gpu::constants::light::GROUND_SHARE;
+use crate::volume::trilinear;
 use glam::{DVec3, IVec3, Vec3};
 
 /// Intersection of the ray of a pixel with the surface.
@@ -82,7 +83,7 @@ pub(crate) fn lit(
 
 /// Data shared by all pixels.
 #[derive(Debug, Clone)]
-pub(super) struct Shader<'a, F> {
+pub(super) struct Shader<'a, F: Blocks> {
     marcher: &'a Marcher<F>,
     options: &'a RaymarchOptions,
     lights: &'a [DirectionalLight],
@@ -122,8 +123,9 @@ impl<'a, F: Blocks> Shader<'a, F> {
     /// The trilinear field at a point of grid space.
     fn field_at(&self, p_grid: Vec3) -> f32 {
         let p_grid = p_grid.clamp(Vec3::splat(-0.5), self.last_point);
-        let cell = IVec3::from(p_grid.to_array().map(floor));
-        self.marcher.field.cell(cell).at(p_grid.as_dvec3())
+        let cell = self.marcher.field.cell(IVec3::from(each_axis(|axis| floor(p_grid[axis]))));
+        // The difference from the first corner is exact in the cell.
+        trilinear(&cell.corners, (p_grid - cell.first.as_vec3()) / cell.size as f32)
     }
 
     /// Linear RGB of a surface. Writes the fraction of each light that arrives.

@@ -21,8 +21,8 @@ fn march<F: Blocks>(marcher: &Marcher<F>, ray: &GridRay) -> March {
     let shape = marcher.field.grid().shape;
     let last = each_axis(|axis| shape[axis] as i32 - 1);
     let line = MarchLine::new(ray);
-    let mut voxel = each_axis(|axis| floor(line.origin[axis] + 0.5).clamp(0, last[axis]));
-    let (mut t, mut face) = (0.0f32, None);
+    let (mut t, mut face) = (ray.t_min, None);
+    let mut voxel = each_axis(|axis| floor(line.origin[axis] + t * line.direction[axis] + 0.5).clamp(0, last[axis]));
     // Every step moves to another voxel, and never back along an axis.
     let max_steps = shape.iter().sum::<usize>() as u32;
     for steps in 1..=max_steps {
@@ -31,8 +31,8 @@ fn march<F: Blocks>(marcher: &Marcher<F>, ray: &GridRay) -> March {
         }
         let side = |axis: usize| if line.forward[axis] { 0.5 } else { -0.5 };
         let t_faces = each_axis(|axis| line.t_at_plane(axis, voxel[axis] as f32 + side(axis)));
-        let next = first_axis(&t_faces);
-        t = t.max(t_faces[next]);
+        let (next, t_face) = first_axis(&t_faces);
+        t = t.max(t_face);
         voxel[next] += if line.forward[next] { 1 } else { -1 };
         if t >= ray.t_max || !(0..=last[next]).contains(&voxel[next]) {
             return March { hit: None, steps };

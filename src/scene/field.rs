@@ -14,7 +14,7 @@ use super::device_fields::DeviceFields;
 use crate::error::{DeviceError, Error};
 use crate::grid::Grid;
 use crate::progress::Progress;
-use crate::render::blocks::{Blocks, DenseBlock};
+use crate::render::blocks::{BlockMask, Blocks, DenseBlock};
 use crate::render::march::{GridRay, Marcher};
 use crate::volume::{Cell, FieldView, Trilinear, trilinear, trilinear_gradient};
 use glam::{DAffine3, DMat3, DVec3, IVec3, Vec3};
@@ -135,7 +135,7 @@ pub trait Field: Send + Sync {
 
 /// A stored field of trilinear cells, prepared for rays.
 #[derive(Debug)]
-pub struct SampledField<F> {
+pub struct SampledField<F: Blocks> {
     marcher: Marcher<F>,
     /// Corners of the box of the surface, grid space.
     surface: [Vec3; 2],
@@ -222,8 +222,8 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
 
     fn first_hit(&self, ray: &FieldRay, t_max: f32) -> (Option<FieldHit>, u32) {
         let voxels_per_t = ray.direction.length();
-        let grid_ray =
-            GridRay { origin: ray.origin, direction: ray.direction / voxels_per_t, t_max: t_max * voxels_per_t };
+        let direction = ray.direction / voxels_per_t;
+        let grid_ray = GridRay { origin: ray.origin, direction, t_min: 0.0, t_max: t_max * voxels_per_t };
         let march = self.marcher.march(&grid_ray);
         let hit = march.hit.map(|hit| FieldHit { t: hit.t / voxels_per_t, at_start: hit.at_start, part: 0 });
         (hit, march.steps)
@@ -276,7 +276,7 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
 }
 
 /// Fields that devices support.
-pub trait OnDevice: Sized {
+pub trait OnDevice: Blocks + Sized {
     /// See [`Field::is_loose`].
     const IS_LOOSE: bool = false;
 
@@ -374,13 +374,18 @@ impl Trilinear for DenseField {
 impl Blocks for DenseField {
     const SIDE: i32 = <FieldView<'static> as Blocks>::SIDE;
     type Block<'b> = DenseBlock<'b>;
+    type Signs = Vec<BlockMask>;
 
-    fn occupied(&self, progress: &Progress) -> Result<Vec<bool>, Error> {
-        self.view().occupied(progress)
+    fn signs(&self, progress: &Progress) -> Result<Vec<BlockMask>, Error> {
+        self.view().signs(progress)
+    }
+
+    fn occupied(&self, signs: &Vec<BlockMask>) -> Vec<bool> {
+        self.view().occupied(signs)
     }
 
     #[inline]
-    fn block(&self, index: [i32; 3]) -> DenseBlock<'_> {
-        DenseBlock::new(self.view(), index)
+    fn block<'b>(&'b self, signs: &'b Vec<BlockMask>, index: [i32; 3]) -> DenseBlock<'b> {
+        DenseBlock::new(self.view(), signs, index)
     }
 }

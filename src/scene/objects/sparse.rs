@@ -56,14 +56,19 @@ impl Trilinear for SparseBricks {
 impl Blocks for SparseBricks {
     const SIDE: i32 = <Bricks<'static> as Blocks>::SIDE;
     type Block<'b> = <Bricks<'b> as Blocks>::Block<'b>;
+    type Signs = ();
 
-    fn occupied(&self, progress: &Progress) -> Result<Vec<bool>, Error> {
-        self.bricks().occupied(progress)
+    fn signs(&self, progress: &Progress) -> Result<(), Error> {
+        self.bricks().signs(progress)
+    }
+
+    fn occupied(&self, signs: &()) -> Vec<bool> {
+        self.bricks().occupied(signs)
     }
 
     #[inline]
-    fn block(&self, index: [i32; 3]) -> <Bricks<'_> as Blocks>::Block<'_> {
-        self.bricks().block(index)
+    fn block<'b>(&'b self, signs: &'b (), index: [i32; 3]) -> <Bricks<'b> as Blocks>::Block<'b> {
+        self.bricks().block(signs, index)
     }
 }
 
