@@ -44,8 +44,8 @@ struct Cone {
 }
 
 // Evaluates a cone past one occluder. Only edges closer to the axis than x_known are relevant. Without `with_edges` a
-// cone that needs a ray past an edge sets `needs_edge`. The CPU traces the axis only near surfaces, and ends the walk
-// of a whole disc at its first edge; it finds the same shares.
+// cone that needs a ray past an edge sets `needs_edge`. The CPU traces the axis only near surfaces; it finds the same
+// shares.
 fn cone_past(caster: Caster, beam: Beam, ray: FieldRay, span: vec2f, x_known: f32, with_edges: bool) -> Cone {
     let t_hit = hit_of(caster, ray);
     if t_hit < 0.0 && x_known <= 0.0 { return Cone(1.0, false); }
@@ -59,7 +59,9 @@ fn cone_past(caster: Caster, beam: Beam, ray: FieldRay, span: vec2f, x_known: f3
         return Cone(-1.0, false);
     }
     var most = largest_clearance_past(caster, beam, ray, deepest);
-    if beam.is_coarse == WIDE { most = max(most, 1.0 - (beam.t_max - t_hit) / (END_FADE * beam.slope * beam.t_max)); }
+    if HAS_WIDE && beam.is_coarse == WIDE {
+        most = max(most, 1.0 - (beam.t_max - t_hit) / (END_FADE * beam.slope * beam.t_max));
+    }
     return Cone(most * (1.0 + deepest.x) - 1.0, false);
 }
 
@@ -72,7 +74,7 @@ fn cone_span(caster: Caster, beam: Beam, ray: FieldRay, x_known: f32) -> vec2f {
     let upper = (*to).surface_upper + grown;
     let span = clip(ray.origin, ray.direction, lower, upper, caster.part);
     // Only levels of the far field are skipped.
-    if span.x > span.y || caster.skip == 0.0 { return span; }
+    if !HAS_FAR || span.x > span.y || caster.skip == 0.0 { return span; }
     if sampled_distance(fields[(*to).field], ray.origin + span.x * ray.direction) > 0.0 { return span; }
     return clip(ray.origin, ray.direction, lower, upper, caster.part + vec2f(caster.skip, 0.0));
 }
@@ -143,63 +145,117 @@ fn clearance_along(beam: Beam, past: u32, least: f32) -> f32 {
     return clearance;
 }
 
-// The nearest edge on the axis of a cone. One loop computes all results, because drivers inline functions:
+// A march along the axis of a cone past one occluder.
+struct March {
+    // The nearest edge so far: see `nearest_edge`.
+    nearest: vec2f,
+    t: f32,
+    // The step that led to t, and the clearance before that step.
+    step: f32,
+    before: f32,
+    end: f32,
+    // Half a voxel, scene units.
+    least_step: f32,
+    // Number of scene units that the axis may advance for one local unit of distance.
+    pace: f32,
+    // Whether the march is inside the occluder.
+    is_blocked: bool,
+    is_wide: bool,
+    is_on: bool,
+    // Whether a narrow cone reached the end.
+    is_past: bool,
+}
+
+// Takes the step from the point at t, where the field has this distance, the axis this clearance and the cone this
+// radius.
+fn advance(march: ptr<function, March>, distance: f32, clear: f32, radius: f32, slope: f32) {
+    let at = *march;
+    if HAS_WIDE && at.is_wide {
+        let along = (at.before * at.before - clear * clear + at.step * at.step) / (2.0 * at.step);
+        if at.step > 0.0 && at.step <= at.before && along > 0.0 && along < at.step {
+            // Closest approach within the step, see `beside_wide` in cone.rs.
+            let closest = sqrt(max(at.before * at.before - along * along, 0.0));
+            (*march).nearest.x = min(at.nearest.x, closest / (slope * (at.t - at.step + along)));
+        }
+        if at.t >= at.end {
+            (*march).is_on = false;
+            return;
+        }
+        (*march).before = clear;
+    }
+    var step = select(distance, -distance, at.is_blocked) * at.pace;
+    if !at.is_blocked && step < at.least_step { (*march).nearest.y = 0.0; }
+    // Near a narrow cone, half steps find the closest approach to 3 %.
+    if at.is_wide { step = max(step, WIDE_STEP * radius); }
+    else if at.is_blocked || step < 2.0 * radius { step *= 0.5; }
+    step = max(step, at.least_step);
+    // A wide cone is evaluated at its end, see `beside_wide` in cone.rs.
+    if at.is_wide && at.t + step >= at.end {
+        (*march).step = at.end - at.t;
+        (*march).t = at.end;
+        return;
+    }
+    (*march).step = step;
+    (*march).t = at.t + step;
+    if at.t + step >= at.end {
+        (*march).is_on = false;
+        (*march).is_past = true;
+    }
+}
+
+// The nearest edge on the axis of a cone. One function computes all results, because drivers inline functions:
 //   free axis:     (smallest clearance in radii, at most x_known; -1)
 //   the same, if the steps do not prove that the axis is free:     (that clearance; 0)
 //   axis that enters the occluder at t_hit:     (signed distance of the edge in radii, negative; t of the deepest
 //   point)
+// The march past the whole disc of a light ends at its first edge, as `decide` in cone.rs. Software drivers execute
+// all branches in each round of a loop. The gradients and estimates near edges cost more than a step, so they are
+// outside of the loop over steps.
 fn nearest_edge(beam: Beam, index: u32, ray: FieldRay, x_known: f32, span: vec2f, t_hit: f32) -> vec2f {
     let field = fields[instances[index].field];
-    let least_step = 0.5 / length(ray.direction);
-    let pace = 1.0 / length(local_direction(index, beam.direction));
+    let stretch = instances[index].least_stretch;
     let is_blocked = t_hit >= 0.0;
-    var nearest = vec2f(select(x_known, 0.0, is_blocked), t_hit);
+    var march: March;
+    march.least_step = 0.5 / length(ray.direction);
+    march.pace = 1.0 / length(local_direction(index, beam.direction));
+    march.end = span.y;
+    march.is_blocked = is_blocked;
+    march.is_wide = HAS_WIDE && beam.is_coarse == WIDE && !is_blocked;
+    march.is_on = true;
+    march.nearest = vec2f(select(x_known, 0.0, is_blocked), t_hit);
     // Immediately behind the surface the field is below zero.
-    var t = select(span.x, t_hit + 0.5 * least_step, is_blocked);
-    let is_wide = beam.is_coarse == WIDE && !is_blocked;
-    // The step that led to t, and the clearance before that step.
-    var step = 0.0;
-    var before = 0.0;
-    for (var i = 0u; i < MAX_CONE_STEPS; i++) {
-        steps++;
-        let p = ray.origin + t * ray.direction;
-        let radius = beam.slope * t;
-        let distance = field_distance(field, p);
-        var clear = distance * instances[index].least_stretch;
-        if is_blocked && distance >= 0.0 { break; }
-        if distance * instances[index].least_stretch < nearest.x * radius || is_blocked {
-            var local = distance;
-            if !is_blocked { local = max(field_guess(field, p), 0.0); }
-            clear = across(index, local, p);
-            let x = clear / radius;
-            if x < nearest.x { nearest = vec2f(x, select(nearest.y, t, is_blocked)); }
-            if x <= -1.0 || (x <= 0.0 && !is_blocked) { break; }
+    march.t = select(span.x, t_hit + 0.5 * march.least_step, is_blocked);
+    let is_whole_disc = beam.is_coarse == 0u;
+    var rounds = 0u;
+    loop {
+        // Steps to the next point at which the surface may be nearer than the known edge.
+        var p = vec3f(0.0);
+        var distance = 0.0;
+        var radius = 0.0;
+        var is_near = false;
+        while march.is_on && rounds < MAX_CONE_STEPS {
+            rounds++;
+            p = ray.origin + march.t * ray.direction;
+            radius = beam.slope * march.t;
+            distance = field_distance(field, p);
+            if is_blocked && distance >= 0.0 { march.is_on = false; }
+            is_near = march.is_on && (distance * stretch < march.nearest.x * radius || is_blocked);
+            if is_near || !march.is_on { break; }
+            advance(&march, distance, distance * stretch, radius, beam.slope);
         }
-        let along = (before * before - clear * clear + step * step) / (2.0 * step);
-        if is_wide && step > 0.0 && step <= before && along > 0.0 && along < step {
-            // Closest approach within the step, see `beside_wide` in cone.rs.
-            let closest = sqrt(max(before * before - along * along, 0.0));
-            nearest.x = min(nearest.x, closest / (beam.slope * (t - step + along)));
-        }
-        if is_wide && t >= span.y { break; }
-        before = clear;
-        step = select(distance, -distance, is_blocked) * pace;
-        if !is_blocked && step < least_step { nearest.y = 0.0; }
-        // Near a narrow cone, half steps find the closest approach to 3 %.
-        if is_wide { step = max(step, WIDE_STEP * radius); }
-        else if is_blocked || step < 2.0 * radius { step *= 0.5; }
-        step = max(step, least_step);
-        // A wide cone is evaluated at its end, see `beside_wide` in cone.rs.
-        if is_wide && t + step >= span.y {
-            step = span.y - t;
-            t = span.y;
-            continue;
-        }
-        t += step;
-        if t >= span.y { return nearest; }
+        if !is_near { break; }
+        visits++;
+        var local = distance;
+        if !is_blocked { local = max(field_guess(field, p, distance), 0.0); }
+        let clear = across(index, local, p);
+        let x = clear / radius;
+        if x < march.nearest.x { march.nearest = vec2f(x, select(march.nearest.y, march.t, is_blocked)); }
+        if x <= -1.0 || (!is_blocked && (x <= 0.0 || (x < 1.0 && is_whole_disc))) { break; }
+        advance(&march, distance, clear, radius, beam.slope);
     }
-    if !is_blocked && !is_wide { nearest.y = 0.0; }
-    return nearest;
+    steps += rounds;
+    if !is_blocked && !march.is_wide && !march.is_past { march.nearest.y = 0.0; }
+    return march.nearest;
 }
 
 // Margin for the rounding of an edge's position, in radii.
@@ -310,7 +366,7 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
         let opacity = instances[caster.index].opacity;
         var x_known = select(1.0, x, beam.is_coarse != 0u && opacity >= 1.0);
         var least = -1.0;
-        if beam.is_coarse == WIDE {
+        if HAS_WIDE && beam.is_coarse == WIDE {
             // Cones of occlusion are wide: they enter the boxes of many instances and miss most of the surfaces inside.
             if caster.index < params.far { least = least_x(caster.index, beam); }
             if least >= x_known { continue; }

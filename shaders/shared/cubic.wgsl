@@ -88,18 +88,23 @@ fn first_root(c: vec4f, s_end: f32) -> f32 {
         let second = quotient_below(c.y, q, s_end);
         turns = vec2f(min(first, second), max(first, second));
     }
+    // The first of the three monotone pieces that ends at or below zero contains the root. The search for it has one
+    // place in the text, because drivers inline functions.
     var start = 0.0;
-    // The first of the three monotone pieces that ends at or below zero contains the root.
-    if turns.x > start {
-        if cubic_value(c, turns.x) <= 0.0 { return falling_root(c, start, turns.x); }
-        start = turns.x;
+    var end = turns.x;
+    var has_root = turns.x > start && cubic_value(c, turns.x) <= 0.0;
+    if !has_root {
+        start = max(start, turns.x);
+        end = turns.y;
+        has_root = turns.y > start && cubic_value(c, turns.y) <= 0.0;
     }
-    if turns.y > start {
-        if cubic_value(c, turns.y) <= 0.0 { return falling_root(c, start, turns.y); }
-        start = turns.y;
+    if !has_root {
+        start = max(start, turns.y);
+        end = s_end;
+        has_root = s_end > start && cubic_value(c, s_end) <= 0.0;
     }
-    if s_end > start && cubic_value(c, s_end) <= 0.0 { return falling_root(c, start, s_end); }
-    return NO_ROOT;
+    if !has_root { return NO_ROOT; }
+    return falling_root(c, start, end);
 }
 
 // Lower limit of the largest corner, since the cubic is divided by it.

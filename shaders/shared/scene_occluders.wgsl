@@ -1,6 +1,7 @@
 // The search for the occluders along a beam: instances in a tree, and the levels of the far field. Twin of the searches
 // in src/scene/shadow.rs and of src/scene/far.rs.
 
+#import scene_cases
 #import scene_objects
 #import scene_tree
 
@@ -32,9 +33,9 @@ const NOWHERE: vec2f = vec2f(1.0, 0.0);
 
 var<private> is_far: u32;
 
-// Number of nodes that the invocation visited: together with `steps`, at most MAX_STEPS. `steps` does not include them:
-// their number depends on the cut, and the order of the cones in memory, from which cuts are made, differs between
-// runs.
+// Number of nodes that the invocation visited, and of edges that it evaluated: together with `steps`, at most
+// MAX_STEPS. `steps` does not include them: the number of nodes depends on the cut, and the order of the cones in
+// memory, from which cuts are made, differs between runs.
 var<private> visits: u32;
 
 // ---- boxes
@@ -69,7 +70,7 @@ fn far_distance_from(p: vec3f) -> f32 {
 
 fn split_of(beam: Beam) -> Split {
     let whole = Split(beam.t_max, FAR_T, NOWHERE);
-    if params.far + zero == NO_INSTANCE || beam.cut == ROOT_WITHOUT_OWN { return whole; }
+    if !HAS_FAR || params.far + zero == NO_INSTANCE || beam.cut == ROOT_WITHOUT_OWN { return whole; }
     let to = &instances[params.far + params.far_levels - 1u];
     let grown = widest(beam.p, beam.slope, (*to).box_min, (*to).box_max, beam.t_max);
     let part = vec2f(far_distance_from(beam.p), beam.t_max);
@@ -156,54 +157,57 @@ fn begin_walk(beam: Beam) -> Walk {
 
 // The next occluder whose box the beam enters; NO_INSTANCE at the end.
 fn next_caster(walk: ptr<function, Walk>, beam: Beam) -> Caster {
-    if (*walk).again != NO_INSTANCE {
+    if HAS_FAR && (*walk).again != NO_INSTANCE {
         let again = Caster((*walk).again, vec2f((*walk).split.rest, beam.t_max), 0.0);
         (*walk).again = NO_INSTANCE;
         return again;
     }
-    while steps + visits < MAX_STEPS {
-        if (*walk).next != NO_INSTANCE {
-            let index = (*walk).next;
-            (*walk).next = (*walk).second;
-            (*walk).second = NO_INSTANCE;
-            let to = &instances[index];
-            let opacity = (*to).opacity;
-            if (*to).casts_shadow == 0u || opacity == 0.0 { continue; }
-            // The box of a leaf contains two instances.
-            if !meets(beam, (*to).box_min - BOX_MARGIN, (*to).box_max + BOX_MARGIN, (*walk).reach) { continue; }
-            if beam.cut == ROOT_WITHOUT_OWN && index == beam.own { continue; }
-            // The far field contains opaque solids only.
-            let is_whole = opacity < 1.0 || (HAS_THIN && instances[index].prefers_rays != 0u);
-            if is_whole { return Caster(index, vec2f(0.0, beam.t_max), 0.0); }
-            if (*walk).split.rest < FAR_T { (*walk).again = index; }
-            return Caster(index, vec2f(0.0, (*walk).split.near), 0.0);
-        }
-        if (*walk).node == NO_NODE {
-            if (*walk).top > 0u {
-                (*walk).top--;
-                (*walk).node = (*walk).stack[(*walk).top];
-            } else if (*walk).next_in_cut < (*walk).end_of_cut {
-                (*walk).node = cuts[(*walk).next_in_cut];
-                (*walk).next_in_cut++;
-            }
+    loop {
+        // Nodes and instances have loops of their own, because software drivers execute all branches in each round of a
+        // loop.
+        while (*walk).next == NO_INSTANCE && steps + visits < MAX_STEPS {
             if (*walk).node == NO_NODE {
-                // Words behind the last node of a cut are undefined.
-                (*walk).end_of_cut = 0u;
-                break;
+                if (*walk).top > 0u {
+                    (*walk).top--;
+                    (*walk).node = (*walk).stack[(*walk).top];
+                } else if (*walk).next_in_cut < (*walk).end_of_cut {
+                    (*walk).node = cuts[(*walk).next_in_cut];
+                    (*walk).next_in_cut++;
+                }
+                if (*walk).node == NO_NODE {
+                    // Words behind the last node of a cut are undefined.
+                    (*walk).end_of_cut = 0u;
+                    break;
+                }
+            }
+            visits++;
+            let node = nodes[(*walk).node];
+            (*walk).node = NO_NODE;
+            if !meets(beam, node.min, node.max, (*walk).reach) { continue; }
+            if node.second == 0u {
+                (*walk).stack[(*walk).top] = node.first;
+                (*walk).top++;
+                (*walk).node = node.first + 1u;
+            } else {
+                (*walk).next = node.first;
+                (*walk).second = select(node.second - 1u, NO_INSTANCE, node.second - 1u == node.first);
             }
         }
-        visits++;
-        let node = nodes[(*walk).node];
-        (*walk).node = NO_NODE;
-        if !meets(beam, node.min, node.max, (*walk).reach) { continue; }
-        if node.second == 0u {
-            (*walk).stack[(*walk).top] = node.first;
-            (*walk).top++;
-            (*walk).node = node.first + 1u;
-        } else {
-            (*walk).next = node.first;
-            (*walk).second = select(node.second - 1u, NO_INSTANCE, node.second - 1u == node.first);
-        }
+        let index = (*walk).next;
+        if index == NO_INSTANCE { break; }
+        (*walk).next = (*walk).second;
+        (*walk).second = NO_INSTANCE;
+        let to = &instances[index];
+        let opacity = (*to).opacity;
+        if (*to).casts_shadow == 0u || opacity == 0.0 { continue; }
+        // The box of a leaf contains two instances.
+        if !meets(beam, (*to).box_min - BOX_MARGIN, (*to).box_max + BOX_MARGIN, (*walk).reach) { continue; }
+        if beam.cut == ROOT_WITHOUT_OWN && index == beam.own { continue; }
+        // The far field contains opaque solids only.
+        let is_whole = opacity < 1.0 || (HAS_THIN && instances[index].prefers_rays != 0u);
+        if is_whole { return Caster(index, vec2f(0.0, beam.t_max), 0.0); }
+        if HAS_FAR && (*walk).split.rest < FAR_T { (*walk).again = index; }
+        return Caster(index, vec2f(0.0, (*walk).split.near), 0.0);
     }
     // The CPU evaluates a beam whose search did not end.
     if steps + visits >= MAX_STEPS { steps = MAX_STEPS; }
@@ -213,7 +217,7 @@ fn next_caster(walk: ptr<function, Walk>, beam: Beam) -> Caster {
 // The next level of the far field on its next piece of the beam.
 fn next_level(walk: ptr<function, Walk>, beam: Beam) -> Caster {
     let far = (*walk).split.far;
-    if far.x > far.y { return Caster(NO_INSTANCE, NOWHERE, 0.0); }
+    if !HAS_FAR || far.x > far.y { return Caster(NO_INSTANCE, NOWHERE, 0.0); }
     is_far = 1u;
     while (*walk).pieces < 2u * params.far_levels + zero {
         let level = params.far + (*walk).pieces / 2u;
@@ -237,7 +241,7 @@ fn hit_of(caster: Caster, ray: FieldRay) -> f32 {
     var found = -1.0;
     // A hit at the start of a level of the far field is skipped, and a second round searches behind it. The loop has
     // one march, because drivers inline functions.
-    for (var i = 0u; i < 2u; i++) {
+    for (var i = 0u; i < select(1u, 2u, HAS_FAR); i++) {
         let span = clip(ray.origin, ray.direction, (*to).surface_lower, (*to).surface_upper, part);
         if span.x > span.y { return -1.0; }
         let hit = field_hit(field, ray.origin + span.x * ray.direction, ray.direction, span.y - span.x);

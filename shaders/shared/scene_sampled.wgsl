@@ -30,41 +30,36 @@ fn sampled_gradient(field: SceneField, point: vec3f) -> vec3f {
     let last = vec3f(field.shape) - 0.5;
     let low = min(vec3f(0.5), last - 1.0);
     let p = min(max(point, low), max(last - 1.0, low));
-    var slope: vec3f;
-    for (var axis = 0u; axis < 3u; axis++) {
-        var half = vec3f(0.0);
-        half[axis] = 0.5;
-        slope[axis] = sample_field(field, p + half) - sample_field(field, p - half);
-    }
-    slope /= field.spacing;
+    let slope = slope_in_data(field, p) / field.spacing;
     let largest = max(abs(slope.x), max(abs(slope.y), abs(slope.z)));
     if largest == 0.0 { return vec3f(0.0); }
     return normalize(slope / largest);
 }
 
-// Unit direction of the gradient in the cell at a point of the box with the distance s; zero where there is none. The
-// field is linear along an axis in its cell, so the farther face of the cell gives the slope.
-fn direction_at_rim(field: SceneField, point: vec3f, s: f32) -> vec3f {
-    let last = vec3f(field.shape) - 1.0;
-    let b = clamp(point, vec3f(0.0), last);
-    let first = floor(min(b, max(last - 1.0, vec3f(0.0))));
-    let face = select(first, first + 1.0, b - first < vec3f(0.5));
-    var slope: vec3f;
-    for (var axis = 0u; axis < 3u; axis++) {
-        var p = b;
-        p[axis] = face[axis];
-        slope[axis] = (sample_field(field, p) - s) / (face[axis] - b[axis]);
-    }
-    slope /= field.spacing;
-    let largest = max(abs(slope.x), max(abs(slope.y), abs(slope.z)));
-    if largest == 0.0 { return vec3f(0.0); }
-    return normalize(slope / largest);
-}
-
-// An estimate of the distance, closer than the lower bound outside the grid.
-fn sampled_guess(field: SceneField, p: vec3f) -> f32 {
+// An estimate of the distance, closer than the lower bound `distance` outside the grid.
+fn sampled_guess(field: SceneField, p: vec3f, distance: f32) -> f32 {
     let b = into_data(field, p);
-    let s = sample_in_data(field, b);
-    if all(p == b) { return s; }
-    return length((p - b) * field.spacing + max(s, 0.0) * direction_at_rim(field, b, s));
+    let is_inside = all(p == b);
+    // The field is linear along an axis in its cell, so the farther face of the cell gives the slope.
+    let last = vec3f(field.shape) - 1.0;
+    let rim = clamp(b, vec3f(0.0), last);
+    let first = floor(min(rim, max(last - 1.0, vec3f(0.0))));
+    let face = select(first, first + 1.0, rim - first < vec3f(0.5));
+    var s = distance;
+    var slope: vec3f;
+    // Inside the grid the loop has no rounds. Software drivers would execute all of a branch in its place.
+    for (var i = 0u; i < select(4u, 0u, is_inside); i++) {
+        var q = select(rim, b, i == 0u);
+        let axis = max(i, 1u) - 1u;
+        if i > 0u { q[axis] = face[axis]; }
+        let value = sample_in_data(field, q);
+        if i == 0u { s = value; } else { slope[axis] = (value - s) / (face[axis] - rim[axis]); }
+    }
+    if is_inside { return s; }
+    slope /= field.spacing;
+    let largest = max(abs(slope.x), max(abs(slope.y), abs(slope.z)));
+    // Unit direction of the gradient; zero where there is none.
+    var direction = vec3f(0.0);
+    if largest != 0.0 { direction = normalize(slope / largest); }
+    return length((p - b) * field.spacing + max(s, 0.0) * direction);
 }

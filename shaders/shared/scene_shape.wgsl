@@ -108,9 +108,9 @@ fn field_distance(field: SceneField, p: vec3f) -> f32 {
     return sampled_distance(field, p);
 }
 
-fn field_guess(field: SceneField, p: vec3f) -> f32 {
+fn field_guess(field: SceneField, p: vec3f, distance: f32) -> f32 {
     if field.kind == KIND_SHAPE { return shape_guess(field, p); }
-    return sampled_guess(field, p);
+    return sampled_guess(field, p, distance);
 }
 
 fn field_gradient(field: SceneField, p: vec3f) -> vec3f {

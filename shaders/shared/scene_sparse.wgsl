@@ -59,6 +59,19 @@ fn sample_in_data(field: SceneField, p: vec3f) -> f32 {
     return sample_bricks(bricks_of(field), clamp(p, vec3f(0.0), BELOW_ONE * (vec3f(field.shape) - 1.0)));
 }
 
+// Differences of the field over one voxel along each axis, centred at a point.
+fn slope_in_data(field: SceneField, p: vec3f) -> vec3f {
+    if field.kind != KIND_SPARSE { return dense_slope(field, p); }
+    var slope: vec3f;
+    for (var i = 0u; i < 6u; i++) {
+        var q = p;
+        q[i >> 1u] += select(0.5, -0.5, (i & 1u) != 0u);
+        let value = sample_in_data(field, q);
+        slope[i >> 1u] += select(value, -value, (i & 1u) != 0u);
+    }
+    return slope;
+}
+
 fn sampled_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 {
     if field.kind == KIND_SPARSE { return sparse_hit(field, origin, along, t_max); }
     return dense_hit(field, origin, along, t_max);

@@ -64,6 +64,7 @@ const SHARED: &[(&str, &str)] = &[
     ("quadric", include_str!("../../shaders/shared/quadric.wgsl")),
     ("ray", include_str!("../../shaders/shared/ray.wgsl")),
     ("ray_filtered", include_str!("../../shaders/shared/ray_filtered.wgsl")),
+    ("scene_cases", include_str!("../../shaders/shared/scene_cases.wgsl")),
     ("scene_counts", include_str!("../../shaders/shared/scene_counts.wgsl")),
     ("scene_beam", include_str!("../../shaders/shared/scene_beam.wgsl")),
     ("scene_occluders", include_str!("../../shaders/shared/scene_occluders.wgsl")),

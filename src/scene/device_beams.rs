@@ -99,10 +99,11 @@ struct Batch {
 
 impl Batch {
     fn run(pass: &Pass<'_>, device: &DeviceScene, beams: Vec<Beam>, past_sheets: Vec<f32>) -> Result<Self, Error> {
-        let first = device.shares(pass.casters, &beams, pass.progress)?;
+        let has_wide = pass.options.occlusion.is_some();
+        let first = device.shares(pass.casters, has_wide, &beams, pass.progress)?;
         let undecided = beams.iter().zip(&first).filter(|(beam, answer)| is_undecided(beam, answer));
         let parts: Vec<Beam> = undecided.flat_map(|(beam, _)| parts_of_disc(beam)).collect();
-        let second = device.shares(pass.casters, &parts, pass.progress)?;
+        let second = device.shares(pass.casters, has_wide, &parts, pass.progress)?;
         Ok(Self {
             beams: beams.into_iter().zip(first),
             parts: second.into_iter(),

@@ -9,6 +9,7 @@ use super::SceneShadows;
 use super::device_buffers::{Buffers, STAGE_BYTES};
 use super::gbuffer::DeviceSeen;
 use super::gpu::{DeviceScene, work_of};
+use super::kinds::BeamCases;
 use super::light_buffer::{LightBuffer, parts_of, stride};
 use super::light_rays::{LightWork, PARTS};
 use super::lit_surface::{BIAS_TRIANGLE, LitSurface, SceneLight};
@@ -83,7 +84,8 @@ pub(crate) fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut Lig
     let buffers = device.light.on(context, &device.groups, chunk * tile_answers)?;
     context.write("view of surfaces", &buffers.view, 0, &[view])?;
     buffers.set_beam_params(context, DeviceScene::beam_params(pass.casters))?;
-    let work = FaceLight::new(device, seen, corners, &buffers, [has_cones, has_rays])?;
+    let cases = BeamCases { has_far: pass.casters.far.is_some(), has_wide: false };
+    let work = FaceLight::new(device, seen, corners, &buffers, [has_cones, has_rays], cases)?;
     let cost = (faces * lights) as f64 / tiles.places() as f64;
     for start in (0..tiles.places()).step_by(chunk as usize) {
         let count = chunk.min(tiles.places() - start);
@@ -268,18 +270,19 @@ enum Size {
 }
 
 impl<'a> FaceLight<'a> {
-    /// The kernels for a picture. The last argument tells whether any light needs cones, and whether any needs rays.
+    /// The kernels for a picture. `kinds` is whether any light needs cones, and whether any needs rays.
     fn new(
         device: &'a DeviceScene,
         seen: &DeviceSeen,
         faces: &wgpu::Buffer,
         buffers: &'a Buffers,
         kinds: [bool; 2],
+        cases: BeamCases,
     ) -> Result<Self, Error> {
         let [has_cones, has_rays] = kinds;
         let Buffers { view, counts, groups, params, beams, cuts, answers, discs, parts, part_answers, edges, .. } =
             buffers;
-        let texts = device.texts();
+        let texts = device.beam_texts(cases);
         let kernel = |name, file, entry, texts: &[Instead], bindings: &[BoundRange<'_>], size| {
             let (pipeline, group) = device.kernel(name, file, entry, texts, bindings)?;
             Ok::<_, Error>(Kernel { pipeline, group, size, stage: stage_of(name) })

@@ -9,7 +9,7 @@ use super::device_fields::DeviceFields;
 use super::device_meshes::DeviceMeshes;
 use super::far::Far;
 use super::field::Field;
-use super::kinds::GeometryKinds;
+use super::kinds::{BeamCases, GeometryKinds};
 use super::light_rays::{LightCone, LightRay, LightWork, SurfacePoint};
 use super::occlusion::Occluders;
 use super::shadow::Casters;
@@ -206,6 +206,11 @@ impl DeviceScene {
         self.fields.kinds.texts()
     }
 
+    /// The same for kernels of beams, which handle only some cases.
+    pub(crate) fn beam_texts(&self, cases: BeamCases) -> Vec<Instead> {
+        [self.texts(), vec![cases.text()]].concat()
+    }
+
     pub(crate) fn instances(&self) -> &wgpu::Buffer {
         self.instances.buffer()
     }
@@ -237,14 +242,16 @@ impl DeviceScene {
         params
     }
 
-    /// Fraction of each beam that passes.
+    /// Fraction of each beam that passes. `has_wide` is whether some beams may be cones of occlusion.
     pub(crate) fn shares(
         &self,
         casters: &Casters<'_>,
+        has_wide: bool,
         beams: &[Beam],
         progress: &Progress,
     ) -> Result<Vec<Answer>, Error> {
         let params = Self::beam_params(casters);
+        let cases = BeamCases { has_far: casters.far.is_some(), has_wide };
         let mut answers = vec![Answer::default(); beams.len()];
         let is_cone = |i: usize| beams[i].slope > 0.0;
         type Wanted<'a> = &'a dyn Fn(usize, &Answer) -> bool;
@@ -256,7 +263,7 @@ impl DeviceScene {
         for (entry, is_wanted) in kernels {
             let places: Vec<usize> = (0..beams.len()).filter(|&i| is_wanted(i, &answers[i])).collect();
             let selected: Vec<Beam> = places.iter().map(|&i| beams[i]).collect();
-            for (i, answer) in places.into_iter().zip(self.evaluate(entry, params, &selected, progress)?) {
+            for (i, answer) in places.into_iter().zip(self.evaluate(entry, cases, params, &selected, progress)?) {
                 answers[i] = answer;
             }
         }
@@ -285,7 +292,8 @@ impl DeviceScene {
 
     /// The length of each beam inside its own instance.
     pub(crate) fn thicknesses(&self, beams: &[Beam], progress: &Progress) -> Result<Vec<Answer>, Error> {
-        self.evaluate("thicknesses", BeamParams { far: NO_FAR, ..BeamParams::default() }, beams, progress)
+        let cases = BeamCases { has_far: false, has_wide: false };
+        self.evaluate("thicknesses", cases, BeamParams { far: NO_FAR, ..BeamParams::default() }, beams, progress)
     }
 
     pub(crate) fn nodes(&self) -> &wgpu::Buffer {
@@ -336,10 +344,12 @@ impl DeviceScene {
         Ok((pipeline, group))
     }
 
+    /// Evaluates beams by a kernel.
     fn evaluate(
         &self,
         entry: &'static str,
-        params: BeamParams,
+        cases: BeamCases,
+        mut params: BeamParams,
         beams: &[Beam],
         progress: &Progress,
     ) -> Result<Vec<Answer>, Error> {
@@ -351,34 +361,15 @@ impl DeviceScene {
         let beams: Vec<Beam> = beams.iter().zip(0..).map(|(beam, owner)| Beam { owner, ..*beam }).collect();
         let uploaded = context.upload("beams", &beams)?;
         let found = context.storage("answers", size_of_val(&answers[..]) as u64)?;
-        self.run(entry, params, &uploaded, &found, beams.len(), progress)?;
-        context.read("answers", &found, &mut answers, progress)?;
-        Ok(answers)
-    }
-
-    /// Evaluates the first `count` beams of a buffer.
-    pub(crate) fn run(
-        &self,
-        entry: &'static str,
-        mut params: BeamParams,
-        beams: &wgpu::Buffer,
-        answers: &wgpu::Buffer,
-        count: usize,
-        progress: &Progress,
-    ) -> Result<(), Error> {
-        if count == 0 {
-            return Ok(());
-        }
-        let context = &self.context;
         let stage = if entry == "edge_cones" { "edges" } else { entry };
         let uniform = context.uniform("beam parameters", &params)?;
-        let kernel = context.kernel_with("scene_beams", entry, &self.texts())?;
-        let bindings = self.beam_bindings(entry, whole((0, &uniform)), &self.no_cuts, beams, answers);
+        let kernel = context.kernel_with("scene_beams", entry, &self.beam_texts(cases))?;
+        let bindings = self.beam_bindings(entry, whole((0, &uniform)), &self.no_cuts, &uploaded, &found);
         let bindings: Vec<_> = bindings.into_iter().map(|(binding, buffer, ..)| (binding, buffer)).collect();
         let group = context.bind("scene_beams", &kernel, &bindings)?;
         let paces = || self.paces.lock().unwrap_or_else(PoisonError::into_inner);
         let mut size = paces().get(entry).copied().unwrap_or(0);
-        in_groups_from(context, "the scene's light", count, &mut size, progress, |first, count, workgroups| {
+        in_groups_from(context, "the scene's light", beams.len(), &mut size, progress, |first, count, workgroups| {
             (params.first, params.count) = (first, count);
             context.write("beam parameters", &uniform, 0, &[params])?;
             progress.check()?;
@@ -386,7 +377,8 @@ impl DeviceScene {
             Ok(context.submit_all("scene_beams", &[dispatch], None, self.timer.as_ref())?)
         })?;
         paces().insert(entry, size);
-        Ok(())
+        context.read("answers", &found, &mut answers, progress)?;
+        Ok(answers)
     }
 }
 

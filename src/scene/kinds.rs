@@ -49,6 +49,23 @@ impl GeometryKinds {
     }
 }
 
+/// The cases that the kernels of beams handle in a picture, as in `shaders/shared/scene_cases.wgsl`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct BeamCases {
+    pub has_far: bool,
+    /// Whether some cones are those of occlusion.
+    pub has_wide: bool,
+}
+
+impl BeamCases {
+    /// The override of `shaders/shared/scene_cases.wgsl`.
+    pub(crate) fn text(self) -> Instead {
+        let Self { has_far, has_wide } = self;
+        let text = format!("const HAS_FAR: bool = {has_far};\nconst HAS_WIDE: bool = {has_wide};\n");
+        ("scene_cases", Cow::Owned(text))
+    }
+}
+
 /// The override of `shaders/shared/scene_structures.wgsl`.
 fn structures_text(bodies: &[String]) -> String {
     let mut text = "// A function for each structure of the shapes of a scene. Their numbers begin at `n`, in the order of the text.\n\n\
@@ -86,7 +103,8 @@ mod tests {
         for i in 0..8u8 {
             let has = |bit: u8| i >> bit & 1 == 1;
             let structures = if has(2) { vec![body.clone()] } else { Vec::new() };
-            let texts = GeometryKinds { sparse: has(0), quadrics: has(1), structures }.texts();
+            let mut texts = GeometryKinds { sparse: has(0), quadrics: has(1), structures }.texts();
+            texts.push(BeamCases { has_far: has(1), has_wide: has(2) }.text());
             for kernel in ["scene_beams", "scene_fields"] {
                 let text = source_instead(kernel, &texts).unwrap();
                 validate(kernel, &text);

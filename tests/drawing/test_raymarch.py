@@ -8,6 +8,7 @@ import pytest
 import fieldbake as fb
 import meshes
 import truth
+from compare import exceeds
 
 BACKGROUND = (0.25, 0.5, 0.75, 0.5)
 
@@ -135,6 +136,18 @@ def test_a_hit_is_the_first_root(device):
     for share in np.linspace(0, 0.999, 400):
         values = volume.sample(camera.eye + (share * far)[..., None] * directions)
         assert values.min() >= -1e-5 * np.linalg.norm(volume.spacing)
+
+
+def test_a_device_finds_the_roots_of_noise(gpu: str) -> None:
+    """The cubics of random cells have their first roots in each of their three monotone pieces."""
+    samples = np.random.default_rng(3).normal(0.3, 1, (12, 12, 12))
+    noise = fb.Volume(samples, [(-1, -1, -1), (1, 1, 1)])
+    camera = fb.Camera((1.5, 1.2, 3), (0, 0, 0), fov_deg=40)
+    here, there = (fb.raymarch(noise, camera, size=(240, 180), shadows="none", device=at).depth for at in ("cpu", gpu))
+    assert (np.isfinite(here) == np.isfinite(there)).all()
+    assert 0.3 < np.isfinite(here).mean() < 1
+    hit = np.isfinite(here)
+    assert exceeds(np.abs(here[hit] - there[hit]), 1e-3).mean() <= 1e-4
 
 
 def test_thin_features_are_not_stepped_over(device):

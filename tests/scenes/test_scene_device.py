@@ -127,3 +127,19 @@ def test_neighbours_that_share_a_search_find_all_occluders(light: str, size: tup
 def test_the_articles_march_is_not_for_devices(gpu: str) -> None:
     with pytest.raises(fb.DeviceError, match="runs on the CPU only"):
         fb.render([fb.bake(meshes.icosphere(1), 8, device="cpu")], size=(8, 8), method="article", device=gpu)
+
+
+@pytest.mark.parametrize("is_sparse", [False, True])
+@pytest.mark.parametrize("scale", [(2.5, 0.4, 1), (0.4, 1.5, 2.5)])
+def test_stretched_objects_have_the_same_penumbrae(
+    scale: tuple[float, float, float], is_sparse: bool, gpu: str
+) -> None:
+    """Under a non-uniform scale the gradient of a field converts its distances to the scene."""
+    knot = fb.bake(fb.models.torus_knot(segments=96, sides=10), 40, device="cpu")
+    field = knot.to_sparse() if is_sparse else knot
+    objects = [fb.Instance(field, moved(x=x, y=1.2, scale=scale, turn=0.7)) for x in (-1.5, 1.5)]
+    scene = fb.Scene([*objects, plane()], lights=[fb.DirectionalLight(SUN, angle_deg=12)])
+    here, there = (fb.render(scene, fb.Camera((3, 5, 6), (0, 0, 0)), size=(96, 72), device=at) for at in ("cpu", gpu))
+    assert there.report["devices"]["light"] == there.report["device"]
+    assert ((here.shadow > 0.1) & (here.shadow < 0.9)).mean() > 0.05
+    assert exceeds(np.abs(here.shadow - there.shadow), 1 / 255).mean() <= 0.005
