@@ -4,7 +4,7 @@ use super::gbuffer::{GBuffer, Layer};
 use super::light_buffer::LightSampleMut;
 use super::light_rays::{LightRay, LightWork, SurfacePoint, basis, disc_point, toward};
 use super::occlusion::Occluders;
-use super::shadow::Casters;
+use super::shadow::{Casters, NearList};
 use super::transmission::{self, NO_LIGHT};
 use super::{Light, RenderOptions, Scene, SceneShadows, Spot};
 use glam::{DVec3, Vec3};
@@ -160,7 +160,7 @@ impl<'a> LitSurface<'a> {
     pub fn look(
         &self,
         casters: &Casters<'_>,
-        near: Option<&[Vec<u32>]>,
+        near: Option<&[NearList]>,
         lights: &Lights,
         options: &RenderOptions,
         occluders: &mut Occluders,
@@ -173,7 +173,7 @@ impl<'a> LitSurface<'a> {
         };
         for (i, light) in lights.lights.iter().enumerate() {
             let (ray, slope, _) = light.seen_from(place.p);
-            let near = Casters { near: near.map(|near| &near[i][..]), ..*casters };
+            let near = Casters { near: near.map(|near| &near[i]), ..*casters };
             found.shares[i] = self
                 .plain_share(&ray, options)
                 .unwrap_or_else(|| self.visible_share(&near, place, &ray, slope, options, &mut work));

@@ -43,6 +43,7 @@ use super::{Instance, Scene};
 use crate::geometry::Aabb;
 use crate::gpu::constants::scene_beams::END_FADE;
 use glam::DVec3;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 /// The occluders of a picture: the instances of a scene and, past a distance, one far field for all of them
 /// ([`super::far`]).
@@ -50,8 +51,32 @@ use glam::DVec3;
 pub struct Casters<'a> {
     pub scene: &'a Scene,
     pub far: Option<&'a Far>,
-    /// The instances that may block the light that is evaluated, near ones first; `None` if all may.
-    pub near: Option<&'a [u32]>,
+    /// The instances that may block the light that is evaluated; `None` if all may.
+    pub near: Option<&'a NearList>,
+}
+
+/// The instances that may block a light from neighbouring surfaces.
+#[derive(Debug)]
+pub struct NearList {
+    /// Near instances first.
+    items: Vec<u32>,
+    /// The instance that blocked a ray last, which likely blocks the next one; `u32::MAX` before.
+    last: AtomicU32,
+}
+
+impl NearList {
+    /// `items` has near instances first.
+    pub fn new(items: Vec<u32>) -> Self {
+        Self { items, last: AtomicU32::new(u32::MAX) }
+    }
+
+    /// The instances in the order in which a ray visits them. The order has no effect on its result: the first one is
+    /// visited early only if it blocked all of a ray, and all others keep their order.
+    fn for_ray(&self) -> impl Iterator<Item = u32> {
+        let last = self.last.load(Ordering::Relaxed);
+        let first = Some(last).filter(|last| *last != u32::MAX);
+        first.into_iter().chain(self.items.iter().copied().filter(move |item| *item != last))
+    }
 }
 
 /// One occluder on an interval of a ray: an instance or a level of the far field.
@@ -127,7 +152,13 @@ impl<'a> Casters<'a> {
         match self.near {
             None => self.scene.tree.walk(&line, reach, pass),
             Some(near) => {
-                near.iter().try_fold(reach, |limit, &item| Some(pass(item, limit)).filter(|limit| *limit >= 0.0));
+                let mut visit = |limit, item| Some(pass(item, limit)).filter(|limit| *limit >= 0.0);
+                // Cones add up their occluders in the order of the list.
+                if cone.slope == 0.0 {
+                    near.for_ray().try_fold(reach, visit);
+                } else {
+                    near.items.iter().try_fold(reach, |limit, &item| visit(limit, item));
+                }
             }
         }
     }
@@ -299,6 +330,9 @@ impl<'a> Casters<'a> {
                 work.steps += 1;
                 if self.hit_of(&caster, place, ray, work).is_some() {
                     share *= 1.0 - caster.instance.shade;
+                    if let Some(near) = self.near.filter(|_| caster.instance.shade >= 1.0) {
+                        near.last.store(item, Ordering::Relaxed);
+                    }
                     break;
                 }
             }

@@ -5,13 +5,14 @@
 //! lies within `r + s t` of the axis from the centre. Axes to a point light come together, and those to a directional
 //! light are parallel. Each tile is searched once with this truncated cone. An instance is left out if its box stays
 //! out of the truncated cone, or if its distances along the axis prove that its surface does. The surfaces of the tile
-//! test the remaining instances only.
+//! test the remaining instances only. A ray first tests the instance that blocked the last ray of the tile.
 
 use super::cone::ConeWalk;
 use super::gbuffer::Layer;
 use super::light_rays::{LightRay, clip};
 use super::lit_surface::SceneLight;
 use super::pass::Pass;
+use super::shadow::NearList;
 use super::tree::Line;
 use super::{Instance, Scene, SceneShadows};
 use glam::DVec3;
@@ -40,7 +41,7 @@ struct Tile {
     /// Number of surfaces whose light must be evaluated.
     count: u32,
     /// For each light the instances that may block it; empty until a surface needs them.
-    occluders: Vec<Vec<u32>>,
+    occluders: Vec<NearList>,
 }
 
 impl<'a> Tiles<'a> {
@@ -67,7 +68,7 @@ impl<'a> Tiles<'a> {
     }
 
     /// For each light the instances that may block it from a surface; `None` if a list is not worth its cost.
-    pub(super) fn occluders(&mut self, layer: &Layer) -> Option<&[Vec<u32>]> {
+    pub(super) fn occluders(&mut self, layer: &Layer) -> Option<&[NearList]> {
         let Self { pass, rows, tiles } = self;
         let tile = tiles.get_mut(&key(layer)).filter(|tile| tile.count >= WORTH)?;
         if tile.occluders.is_empty() {
@@ -98,7 +99,7 @@ fn ball_of(pass: &Pass<'_>, rows: [u32; 2], column: u32, depth: [f64; 2]) -> (DV
 }
 
 /// The instances that may block a light from the surfaces of instance `own` in a ball, near ones first.
-fn occluders_of(pass: &Pass<'_>, center: DVec3, radius: f64, own: u32, light: &SceneLight) -> Vec<u32> {
+fn occluders_of(pass: &Pass<'_>, center: DVec3, radius: f64, own: u32, light: &SceneLight) -> NearList {
     let scene = pass.casters.scene;
     let (ray, slope, _) = light.seen_from(center);
     let slope = if pass.options.shadows == SceneShadows::Hard { 0.0 } else { slope };
@@ -111,7 +112,7 @@ fn occluders_of(pass: &Pass<'_>, center: DVec3, radius: f64, own: u32, light: &S
         }
         limit
     });
-    found
+    NearList::new(found)
 }
 
 /// Whether distances prove that a truncated cone does not touch the surface of an instance.

@@ -38,6 +38,28 @@ def test_the_hard_shadow_of_a_sphere_is_the_closed_form(scale: float) -> None:
     assert (frame.shadow[cap] == 1).all()
 
 
+def test_the_hard_shadows_of_opaque_and_translucent_spheres_multiply() -> None:
+    # Neighbouring rays first test the occluder that blocked the last one. It must not darken the others.
+    to_light = -np.array(SUN) / np.linalg.norm(SUN)
+    ball = fb.bake(fb.Mesh(*meshes.icosphere(4)), 48)
+    centers = [
+        1.5 * i * to_light + aside
+        for i, aside in enumerate([(0.9, 0.6, 0), (0, 0.6, 0.8), (0, 0.6, 0), (-0.7, 0.6, 0.3)])
+    ]
+    opacities = [0.5, 1.0, 0.25, 1.0]
+    balls = [fb.Instance(ball, moved(*p), opacity=opacity) for p, opacity in zip(centers, opacities, strict=True)]
+    scene = fb.Scene([*balls, fb.Instance(plane())], lights=[fb.DirectionalLight(SUN)])
+    camera = fb.Camera((-7.0, 5.0, 3.0), (-0.5, -1.0, -0.2), fov_deg=40)
+    frame = fb.render(scene, camera, size=(200, 150), shadows="hard", device="cpu")
+    on_plane = frame.object_id == len(balls)
+    p = positions(frame, camera)
+    share = np.ones(on_plane.shape)
+    for center, opacity in zip(centers, opacities, strict=True):
+        share *= np.where(miss_distance(p, center, to_light) < 1, 1 - opacity, 1)
+    assert set(np.unique(share[on_plane])) == {0, 0.375, 0.5, 0.75, 1}
+    assert (frame.shadow == share)[on_plane].mean() > 0.99
+
+
 @pytest.mark.parametrize(("angle_deg", "scale"), [(2.0, 1.0), (6.0, 1.0), (15.0, 1.0), (6.0, 0.01), (6.0, 100.0)])
 def test_penumbrae_are_as_wide_as_the_light_is_large(angle_deg: float, scale: float) -> None:
     light = fb.DirectionalLight(SUN, angle_deg=angle_deg)
