@@ -311,6 +311,7 @@ pub(super) fn draw(view: &ShapeView<'_>, context: &Arc<Context>, progress: &Prog
     let mut frame = Frame::new(width as usize, height as usize, lights.len());
     context.read("light shares", &shares, &mut frame.shadow, progress)?;
     frame.rows().into_par_iter().enumerate().try_for_each_init(PixelScratch::default, |scratch, (y, mut row)| {
+        row.color.as_chunks_mut().0.fill(options.background);
         for x in 0..width as usize {
             let pixel = &found[y * width as usize + x];
             if pixel.state == PIXEL_RAN_OUT {
@@ -318,7 +319,6 @@ pub(super) fn draw(view: &ShapeView<'_>, context: &Arc<Context>, progress: &Prog
                 view.draw_pixel(x, y, &mut row, scratch);
                 continue;
             }
-            row.color[4 * x..][..4].copy_from_slice(&options.background);
             row.steps[x] = pixel.steps;
             if pixel.state == PIXEL_HIT {
                 let ray = view.rays.through(x, y);

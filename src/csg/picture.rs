@@ -11,6 +11,7 @@ use crate::render::shade::{LitPoint, lit};
 use crate::render::{Camera, DirectionalLight, Frame, RaymarchOptions, Row};
 use glam::Vec3;
 use rayon::prelude::*;
+use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// A picture and its cost.
@@ -35,9 +36,12 @@ pub(super) fn draw_on_cpu(view: &ShapeView<'_>, progress: &Progress) -> Result<D
     progress.set_total(height as u64);
     let mut frame = Frame::new(width, height, view.lights.len());
     let evaluations = AtomicU64::new(0);
+    let [columns, lines] = view.window();
     frame.rows().into_par_iter().enumerate().try_for_each_init(PixelScratch::default, |scratch, (y, mut row)| {
         scratch.work = TraceWork::default();
-        for x in 0..width {
+        row.color.as_chunks_mut().0.fill(view.options.background);
+        let columns = if lines.contains(&y) { columns.clone() } else { 0..0 };
+        for x in columns {
             view.draw_pixel(x, y, &mut row, scratch);
         }
         evaluations.fetch_add(scratch.work.leaves, Ordering::Relaxed);
@@ -128,10 +132,17 @@ impl PixelRays {
 }
 
 impl ShapeView<'_> {
-    /// Fills pixel `x` of row `y`. The row is initialised to "no hit".
-    pub(super) fn draw_pixel(&self, x: usize, y: usize, row: &mut Row<'_>, scratch: &mut PixelScratch) {
-        row.color[4 * x..][..4].copy_from_slice(&self.options.background);
+    /// Columns and rows of the pixels that may show the shape.
+    fn window(&self) -> [Range<usize>; 2] {
+        if self.is_eye_inside {
+            return self.options.size.map(|n| 0..n as usize);
+        }
+        let frame = self.tracer.solid.frame;
+        self.camera.window(self.tracer.bounds.map(|corner| frame.world(corner.as_dvec3())), self.options.size)
+    }
 
+    /// Fills pixel `x` of row `y`. The row is initialised to "no hit", and its colours to the background.
+    pub(super) fn draw_pixel(&self, x: usize, y: usize, row: &mut Row<'_>, scratch: &mut PixelScratch) {
         if self.is_eye_inside {
             let unit = self.camera.pixel_direction(x as u32, y as u32, self.options.size).normalize().as_vec3();
             let p = self.tracer.solid.frame.local(self.camera.eye).as_vec3();

@@ -4,7 +4,8 @@
 use super::{RaymarchOptions, Shadows};
 use crate::error::{ArgumentError, Error};
 use crate::gpu::layout::PictureRays;
-use glam::DVec3;
+use glam::{BVec3, DMat3, DVec2, DVec3, UVec2};
+use std::ops::Range;
 
 /// Position and orientation of the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -157,6 +158,37 @@ impl Camera {
         }
     }
 
+    /// Coordinates to the right, upwards and along the rays, from world space relative to the eye. The axes of a pose
+    /// need not be quite perpendicular, so the inverse is not the transpose.
+    pub(crate) fn view_from_world(&self) -> DMat3 {
+        DMat3::from_cols(self.right, self.up, -self.back).inverse()
+    }
+
+    /// Columns and rows of the pixels whose rays may meet a box. A margin of one pixel, and of 1e-6 of the
+    /// outline of the box, covers the rounding of rays in float32.
+    pub(crate) fn window(&self, [lower, upper]: [DVec3; 2], size: [u32; 2]) -> [Range<usize>; 2] {
+        let [width, height] = size.map(|n| n as usize);
+        let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+        let view_from_world = self.view_from_world();
+        for corner in 0..8 {
+            let p = DVec3::select(BVec3::new(corner & 1 > 0, corner & 2 > 0, corner & 4 > 0), upper, lower);
+            let p = view_from_world * (p - self.eye);
+            let pixel = self.pixel_size_at(size[1], p.z);
+            if !(p.z > 0.0 && pixel > 0.0) {
+                // The box extends behind the eye.
+                return [0..width, 0..height];
+            }
+            let at = DVec2::new(p.x, -p.y) / pixel + 0.5 * UVec2::from_array(size).as_dvec2();
+            (low, high) = (low.min(at), high.max(at));
+        }
+        let range = |low: f64, high: f64, count: usize| {
+            let margin = 1.0 + 1e-6 * (high - low);
+            let end = ((high + margin).ceil() as usize).min(count);
+            ((low - margin).floor() as usize).min(end)..end
+        };
+        [range(low.x, high.x, width), range(low.y, high.y, height)]
+    }
+
     /// Depth of the nearest corner of a box, or zero if the box extends behind the eye. The depth is reduced slightly,
     /// so that rounding does not place the start of a ray inside the box.
     pub fn depth_before(&self, [lower, upper]: [DVec3; 2]) -> f64 {
@@ -210,6 +242,46 @@ pub(super) mod tests {
         assert_eq!((camera.pixel_size_at(4, 7.0), camera.pixel_size_at(4, 0.5)), (0.5, 0.5));
         for height in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             assert!(Camera::orthographic(&IDENTITY, height).unwrap_err().to_string().starts_with("height: "));
+        }
+    }
+
+    #[test]
+    fn a_window_holds_all_rays_that_meet_its_box() {
+        let near = look_at(DVec3::new(3.0, 2.0, 4.0), DVec3::new(0.3, -0.2, 0.1));
+        let mut skewed = look_at(DVec3::new(300.0, 200.0, 400.0), DVec3::ZERO);
+        for row in &mut skewed[..3] {
+            (row[0], row[1]) = (row[0] - 4e-4 * row[2], row[1] + 4e-4 * row[2]);
+        }
+        let size = [61, 47];
+        let cameras = [
+            Camera::from_pose(&near, 40.0),
+            Camera::orthographic(&near, 5.0),
+            Camera::from_pose(&skewed, 0.4),
+            Camera::orthographic(&skewed, 5.0),
+        ];
+        for camera in cameras.map(Result::unwrap) {
+            // The third box extends behind the near eye. The fourth lies beside the pictures.
+            for (lower, sides) in [
+                ([-0.5, -0.4, -0.3], [1.0, 0.7, 0.2]),
+                ([0.9, -1.6, 0.0], [0.1, 0.1, 1.4]),
+                ([-9.0; 3], [20.0; 3]),
+                ([9.0, 0.0, -9.0], [1.0; 3]),
+            ] {
+                let lower = DVec3::from_array(lower);
+                let upper = lower + DVec3::from_array(sides);
+                let [columns, lines] = camera.window([lower, upper], size);
+                let (mut inside, mut met) = (0, 0);
+                for (y, x) in (0..size[1]).flat_map(|y| (0..size[0]).map(move |x| (y, x))) {
+                    let (start, way) = (camera.pixel_start(x, y, size), camera.pixel_direction(x, y, size));
+                    let (a, b) = ((lower - start) / way, (upper - start) / way);
+                    let is_met = a.min(b).max_element().max(0.0) <= a.max(b).min_element();
+                    let is_inside = columns.contains(&(x as usize)) && lines.contains(&(y as usize));
+                    assert!(is_inside || !is_met, "{x} {y}");
+                    (inside, met) = (inside + u32::from(is_inside), met + u32::from(is_met));
+                }
+                // A convex outline covers much of its rectangle, or the rectangle is small or the whole picture.
+                assert!(inside <= 4 * met + 100 || inside == size[0] * size[1], "{inside} pixels, {met} met");
+            }
         }
     }
 

@@ -142,9 +142,7 @@ impl Projection {
     fn new<F: Blocks>(grid: &Grid, camera: &Camera, size: [u32; 2]) -> Self {
         let spacing = grid.spacing();
         let unit = spacing.max_element();
-        // The axes of a pose need not be perpendicular, so the inverse is not the transpose.
-        let axes = [camera.right, camera.up, -camera.back].map(|axis| axis / (spacing / unit));
-        let view_from_grid = DMat3::from_cols(axes[0], axes[1], axes[2]).inverse();
+        let view_from_grid = camera.view_from_world() * DMat3::from_diagonal(spacing / unit);
         let sides = std::iter::successors(Some(F::SIDE), |&side| (side % 2 == 0).then_some(side / 2));
         let pixel = camera.pixel_size(size[1]);
         let size = size.map(|n| n as usize);
