@@ -3,14 +3,16 @@
     python benches/renderer.py [--size 640x480] [--instances 10,200] [--frames 5] [--devices cpu,gpu]
 
 The scenes are the forests of `scene.py` under soft shadow. The first frame includes the conversion and the bake of the
-objects and, on a device, the compilation of the kernels. Later frames have another camera each. Times are those of the
-processor, since the machine may be busy; a software adapter uses the processor too.
+objects and, on a device, the compilation of the kernels. Later frames have another camera each. A dimmed frame has the
+camera of the frame before, and a light of another intensity. Times are those of the processor, since the machine may be
+busy; a software adapter uses the processor too.
 """
 
 from __future__ import annotations
 
 import argparse
 import datetime
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -45,10 +47,12 @@ def row(count: int, size: tuple[int, int], frames: int, device: str) -> str:
         times.append(drawn.least_cpu)
         stages.append(drawn.result.report["milliseconds"])
     after = renderer.counters
+    lights = [replace(light, intensity=0.5) for light in scene.lights]
+    dimmed = timed(lambda: renderer.frame(turned(camera, 0.1 * frames), lights)).least_cpu
     moved = [(after[name] - before[name]) / frames for name in ("uploads", "upload_bytes", "submits", "readbacks")]
     walls = " | ".join(f"{min(stage[name] for stage in stages):,.0f}" for name in ("primary", "light"))
     transfers = " | ".join(f"{value:,.0f}" for value in moved)
-    return f"| {count} | {device} | {first:.2f} | {min(times):.2f} | {walls} | {transfers} |"
+    return f"| {count} | {device} | {first:.2f} | {min(times):.2f} | {dimmed:.3f} | {walls} | {transfers} |"
 
 
 def main() -> None:
@@ -65,9 +69,9 @@ def main() -> None:
         f"{machine()}; `benches/renderer.py`, {width} x {height} pixels, soft shadows, "
         f"the best of {options.frames} frames.",
         "",
-        "| instances | device | first frame, s | later frame, s | primary pass, ms | light pass, ms | uploads "
-        "| uploaded bytes | submits | read-backs |",
-        "|---" * 10 + "|",
+        "| instances | device | first frame, s | later frame, s | dimmed frame, s | primary pass, ms | light pass, ms "
+        "| uploads | uploaded bytes | submits | read-backs |",
+        "|---" * 11 + "|",
     ]
     for count in map(int, options.instances.split(",")):
         for device in options.devices.split(","):
