@@ -20,7 +20,7 @@ pub trait Blocks: Trilinear {
     /// Data of the blocks from the signs of all samples, computed once.
     type Signs: std::fmt::Debug + Clone + Send + Sync;
 
-    /// Reads all samples. Fails if a value is not finite or too large.
+    /// The data of the blocks. Fails if a sample that was not checked before is not finite or too large.
     fn signs(&self, progress: &Progress) -> Result<Self::Signs, Error>;
 
     /// Whether each block, x fastest, has a corner that is <= 0.

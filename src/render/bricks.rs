@@ -182,6 +182,7 @@ impl<T: Texel> Block for MaskedBrick<'_, T> {
         }
     }
 
+    /// Stored bricks are not divided, because their side of 7 cells is odd.
     #[inline]
     fn occupancy(&self, _: [i32; 3], _: i32) -> Occupancy {
         match self {

@@ -39,7 +39,7 @@ pub fn raymarch<F: Blocks>(
     let view = RaymarchView {
         camera,
         spacing: marcher.field.grid().spacing(),
-        tiles: Tiles::new(&marcher, camera, options.size),
+        tiles: Tiles::new(&marcher, camera, options.size, progress)?,
         shape: marcher.field.shape(),
         marcher: &marcher,
         shader,

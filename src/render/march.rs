@@ -37,7 +37,7 @@ pub struct GridRay {
     pub origin: Vec3,
     /// Unit length; grid space, so lengths along the ray are in voxels.
     pub direction: Vec3,
-    /// The `t` at which the search begins, in the box. The field is above zero before.
+    /// The `t` at which the search begins. The callers ensure that the ray meets no surface before it.
     pub t_min: f32,
     /// The `t` at which the search ends, at most where the ray leaves the box.
     pub t_max: f32,

@@ -124,7 +124,7 @@ impl<'a, F: Blocks> Shader<'a, F> {
     fn field_at(&self, p_grid: Vec3) -> f32 {
         let p_grid = p_grid.clamp(Vec3::splat(-0.5), self.last_point);
         let cell = self.marcher.field.cell(IVec3::from(each_axis(|axis| floor(p_grid[axis]))));
-        // The difference from the first corner is exact in the cell.
+        // The difference from the first corner is exact between samples.
         trilinear(&cell.corners, (p_grid - cell.first.as_vec3()) / cell.size as f32)
     }
 

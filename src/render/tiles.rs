@@ -18,13 +18,15 @@
 //! # Practice
 //!
 //! The blocks are in grid space relative to the eye, so that a far origin of the world costs no precision. They are
-//! grown by a fraction of a voxel, far more than the rounding of the rays. If a block lies beside or behind the eye,
-//! all rays begin at the eye.
+//! grown by a fraction of a voxel, far more than the rounding of the rays. If a block lies beside or behind the eye, or
+//! so far away that rounding reaches the margin, all rays begin at the eye.
 
 use super::blocks::{Block, Blocks, Occupancy};
 use super::camera::Camera;
 use super::march::{Marcher, each_axis};
+use crate::error::Error;
 use crate::grid::Grid;
+use crate::progress::Progress;
 use glam::{DMat3, DVec2, DVec3, IVec3};
 use rayon::prelude::*;
 use std::ops::RangeInclusive;
@@ -60,19 +62,22 @@ enum End {
 }
 
 impl Tiles {
-    pub(super) fn new<F: Blocks>(marcher: &Marcher<F>, camera: &Camera, size: [u32; 2]) -> Self {
+    pub(super) fn new<F: Blocks>(
+        marcher: &Marcher<F>,
+        camera: &Camera,
+        size: [u32; 2],
+        progress: &Progress,
+    ) -> Result<Self, Error> {
         let view = Projection::new::<F>(marcher.field.grid(), camera, size);
         let empty = marcher.empty();
         let [nx, ny, nz] = empty.shape();
         let corners = (0..8).map(|i| view.lower_corner([nx * (i & 1), ny * (i >> 1 & 1), nz * (i >> 2)]));
         if !corners.fold(true, |all, corner| all & view.is_projected(corner)) {
-            return Self { columns: 0, depths: Vec::new() };
+            return Ok(Self { columns: 0, depths: Vec::new() });
         }
-        let depths = [End::Near, End::Far].map(|end| view.depths(marcher, end));
-        Self {
-            columns: view.columns,
-            depths: depths[0].iter().zip(&depths[1]).map(|(&near, &far)| [near, -far]).collect(),
-        }
+        let near = view.depths(marcher, End::Near, progress)?;
+        let far = view.depths(marcher, End::Far, progress)?;
+        Ok(Self { columns: view.columns, depths: near.into_iter().zip(far).map(|(near, far)| [near, -far]).collect() })
     }
 
     /// The range of depths of a pixel; `None` if its ray meets no block.
@@ -115,6 +120,8 @@ struct Projection {
     columns: usize,
     /// Length of the unit, world units.
     unit: f64,
+    /// Largest distance from the eye at which rounding is far below the margin around cubes.
+    farthest: f64,
 }
 
 /// A cube of cells in the projection, relative to its lower corner.
@@ -156,6 +163,7 @@ impl Projection {
             size,
             columns: size[0].div_ceil(TILE),
             unit,
+            farthest: MARGIN * spacing.min_element() / unit / (16.0 * f64::EPSILON),
         }
     }
 
@@ -167,11 +175,11 @@ impl Projection {
 
     /// Whether a block at a lower corner has a projection.
     fn is_projected(&self, corner: DVec3) -> bool {
-        corner.is_finite() && (self.is_parallel || corner.z + self.cubes[0].reach[0] >= NEAREST)
+        corner.length() <= self.farthest && (self.is_parallel || corner.z + self.cubes[0].reach[0] >= NEAREST)
     }
 
     /// The least depth of each tile, or the negated largest one.
-    fn depths<F: Blocks>(&self, marcher: &Marcher<F>, end: End) -> Vec<f64> {
+    fn depths<F: Blocks>(&self, marcher: &Marcher<F>, end: End, progress: &Progress) -> Result<Vec<f64>, Error> {
         let empty = marcher.empty();
         let shape = empty.shape();
         // A ray passes through blocks in this order or against it. Blocks that come later seldom change a tile.
@@ -179,21 +187,23 @@ impl Projection {
             .map(|axis| (axis.z > 0.0) == (end == End::Near));
         let in_order = |axis: usize, i: usize| if forward[axis] { i } else { shape[axis] - 1 - i };
         let blank = || vec![f64::INFINITY; self.columns * self.size[1].div_ceil(TILE)];
-        let parts = (0..shape[2]).into_par_iter().with_min_len(shape[2].div_ceil(rayon::current_num_threads())).fold(
-            blank,
-            |mut depths, z| {
-                for (y, x) in (0..shape[1]).flat_map(|y| (0..shape[0]).map(move |x| (y, x))) {
-                    let block = [in_order(0, x), in_order(1, y), in_order(2, z)];
-                    let index = block.map(|i| i as i32);
-                    if empty.distance(index) == 0 && is_border(marcher, index) {
-                        self.add(&marcher.block(index), self.lower_corner(block), [0; 3], 0, end, &mut depths);
-                    }
+        let pieces = (0..shape[2]).into_par_iter().with_min_len(shape[2].div_ceil(rayon::current_num_threads()));
+        let parts = pieces.try_fold(blank, |mut depths, z| {
+            progress.check()?;
+            for (y, x) in (0..shape[1]).flat_map(|y| (0..shape[0]).map(move |x| (y, x))) {
+                let block = [in_order(0, x), in_order(1, y), in_order(2, z)];
+                let index = block.map(|i| i as i32);
+                if empty.distance(index) == 0 && is_border(marcher, index) {
+                    self.add(&marcher.block(index), self.lower_corner(block), [0; 3], 0, end, &mut depths);
                 }
-                depths
-            },
-        );
-        let join = |a: Vec<f64>, b: Vec<f64>| a.iter().zip(b).map(|(a, b)| a.min(b)).collect();
-        parts.reduce_with(join).unwrap_or_default()
+            }
+            Ok(depths)
+        });
+        let join = |mut a: Vec<f64>, b: Vec<f64>| {
+            a.iter_mut().zip(b).for_each(|(a, b)| *a = a.min(b));
+            Ok(a)
+        };
+        parts.try_reduce_with(join).unwrap_or_else(|| Ok(blank()))
     }
 
     /// Adds the depth of a cube of cells to the tiles that it overlaps. `lower` is its lower corner, and `first` the
@@ -251,11 +261,12 @@ fn overlap([low, high]: [f64; 2], count: usize) -> Option<RangeInclusive<usize>>
 
 #[cfg(test)]
 mod tests {
+    use super::super::bricks::MaskedBricks;
     use super::super::camera::tests::look_at;
     use super::super::march::clip_to_box;
     use super::super::options::Filter;
     use super::*;
-    use crate::progress::Progress;
+    use crate::volume::sparse::build::SparseOptions;
     use crate::volume::{FieldView, Trilinear};
     use proptest::prelude::*;
 
@@ -268,10 +279,11 @@ mod tests {
 
     /// Compares the hits of all pixels with those of whole rays, and returns the number of hits and of pixels whose
     /// rays are shorter.
-    fn check(field: FieldView<'_>, camera: &Camera, filter: Filter) -> [usize; 2] {
+    fn check<F: Blocks>(field: F, camera: &Camera, filter: Filter) -> [usize; 2] {
         let marcher = Marcher::new(field, &Progress::new()).unwrap();
+        let field = &marcher.field;
         let spacing = field.grid().spacing();
-        let tiles = Tiles::new(&marcher, camera, SIZE);
+        let tiles = Tiles::new(&marcher, camera, SIZE, &Progress::new()).unwrap();
         let [mut hits, mut shorter] = [0, 0];
         for i in 0..SIZE[0] * SIZE[1] {
             let (x, y) = (i % SIZE[0], i / SIZE[0]);
@@ -355,6 +367,21 @@ mod tests {
             });
             assert_eq!(shorter, all.count());
         }
+        // Bricks of a solid block have samples only near its surface.
+        let inside: Vec<f32> = distances.iter().map(|distance| distance - 0.4).collect();
+        let options = SparseOptions { band: 3.0, tolerance: None };
+        let dense = FieldView::new(grid, &inside).unwrap();
+        let sparse = dense.to_sparse::<f32>([grid.lower, grid.upper], &options, &Progress::new()).unwrap();
+        for camera in cameras(&look_at(DVec3::new(1.5, 2.0, 3.0), DVec3::ZERO), 25.0) {
+            for filter in [Filter::Linear, Filter::Nearest] {
+                let bricks = MaskedBricks::new(sparse.view().unwrap(), &Progress::new()).unwrap();
+                let [hits, shorter] = check(bricks, &camera, filter);
+                assert!(hits > 200 && shorter > 200, "{hits} {shorter}");
+            }
+        }
+        // The eye is so far away that rays cannot begin precisely at a surface.
+        let [_, parallel] = cameras(&look_at(DVec3::new(1e14, 2e14, 3e14), DVec3::ZERO), 20.0);
+        assert_eq!(check(field, &parallel, Filter::Linear)[1], 0);
         // The eye is in the box.
         let [perspective, _] = cameras(&look_at(DVec3::splat(0.6), DVec3::ZERO), 30.0);
         let [hits, shorter] = check(field, &perspective, Filter::Linear);

@@ -27,7 +27,7 @@ fn march<F: Blocks>(marcher: &Marcher<F>, ray: &GridRay) -> March {
     let max_steps = shape.iter().sum::<usize>() as u32;
     for steps in 1..=max_steps {
         if is_solid(marcher, voxel) {
-            return March { hit: Some(FieldHit { t, at_start: face.is_none(), face }), steps };
+            return March { hit: Some(FieldHit { t, at_start: face.is_none() && t == 0.0, face }), steps };
         }
         let side = |axis: usize| if line.forward[axis] { 0.5 } else { -0.5 };
         let t_faces = each_axis(|axis| line.t_at_plane(axis, voxel[axis] as f32 + side(axis)));
