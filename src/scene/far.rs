@@ -54,8 +54,8 @@ pub struct FarField {
 /// Far fields are equal if they have the same fields, not copies of them, and the same distance.
 impl PartialEq for FarField {
     fn eq(&self, other: &Self) -> bool {
-        let [one, other_levels] = [self, other].map(|far| far.levels.iter().map(|level| Arc::as_ptr(level).addr()));
-        one.eq(other_levels) && self.distance == other.distance
+        let [own, others] = [self, other].map(|far| far.levels.iter().map(|level| Arc::as_ptr(level).addr()));
+        own.eq(others) && self.distance == other.distance
     }
 }
 

@@ -1,7 +1,7 @@
 //! The visible surfaces of the last picture and the light on them, kept for a next picture that has the same ones.
 
 use super::far::FarField;
-use super::gbuffer::GBuffer;
+use super::gbuffer::{GBuffer, Layer};
 use super::light_buffer::LightBuffer;
 use super::{Light, Primary, RenderOptions, Scene, SceneShadows};
 use crate::gpu::{Context, Place};
@@ -28,6 +28,16 @@ pub(crate) struct SurfaceInputs {
     pub primary: Primary,
 }
 
+/// Largest size of a picture that is kept, bytes.
+const LARGEST: usize = 256 << 20;
+
+impl LastPicture {
+    pub(crate) fn is_small(&self) -> bool {
+        let layers: usize = self.buffer.rows.iter().map(Vec::len).sum();
+        layers * (size_of::<Layer>() + self.light.layer_bytes()) <= LARGEST
+    }
+}
+
 impl SurfaceInputs {
     pub(crate) fn new(place: &Place, scene: &Arc<Scene>, camera: &Camera, options: &RenderOptions) -> Self {
         let context = match place {
@@ -51,8 +61,8 @@ impl PartialEq for SurfaceInputs {
     }
 }
 
-/// Everything but the surfaces on which the fractions of the light on them depend. The colours of the lights are not
-/// among it.
+/// Everything besides the surfaces that determines the fractions of the light on them. The colours, ranges and cones
+/// of the lights do not.
 #[derive(PartialEq)]
 pub(crate) struct LightInputs {
     /// Direction or position of each light, and the size of its disc or ball.

@@ -52,6 +52,11 @@ impl LightBuffer {
         Self { lights: lights.unwrap_or(0), stride, rows: buffer.rows.iter().map(row).collect() }
     }
 
+    /// Size of the light on a layer, bytes.
+    pub(super) fn layer_bytes(&self) -> usize {
+        size_of::<bool>() + self.stride * size_of::<f32>() + size_of::<LightWork>()
+    }
+
     /// The values of layer `i` in row `y`, and the work for them.
     pub(super) fn values_at(&self, y: usize, i: usize) -> (&[f32], LightWork) {
         let row = &self.rows[y];

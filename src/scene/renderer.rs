@@ -91,7 +91,7 @@ impl Renderer {
         };
         let (rendered, picture) =
             drawn.map_or_else(|error| (Err(error), None), |(rendered, last)| (Ok(rendered), last));
-        *self.last() = Last { device, picture: picture.filter(|_| self.keeps_pictures) };
+        *self.last() = Last { device, picture: picture.filter(|picture| self.keeps_pictures && picture.is_small()) };
         rendered
     }
 

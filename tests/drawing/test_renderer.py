@@ -6,6 +6,7 @@ import itertools
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -76,41 +77,62 @@ def test_frames_are_the_pictures_of_render(scene, instances, options, device) ->
     assert_equal(renderer.frame(CAMERA), first)
 
 
-@pytest.mark.parametrize("options", [{}, {"shadows": "hard", "ambient_occlusion": True}, {"bounces": 1}])
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"shadows": "hard", "ambient_occlusion": True}, {"bounces": 1}, {"light_scale": 2}, {"far_distance": 0.5}],
+)
 def test_stages_without_changes_are_reused(instances, options, device) -> None:
     scene = fb.Scene(instances)
+    if "far_distance" in options:
+        options = {**options, "far": fb.merge(instances[:2], 24)}
     renderer = fb.Renderer(scene, size=SIZE, device=device, **options)
     sun = fb.DirectionalLight(SUN, angle_deg=4)
-    lamp = fb.PointLight((2, 4, 2), radius=0.2)
-    red = [fb.Material(color=(1, 0, 0)), None, None, None]
-    both = ["primary", "light"]
-    # Each frame differs from the one before in one argument.
-    frames = [
-        ({"lights": [sun, lamp]}, []),
+    lamp = fb.SpotLight((2, 4, 2), (-1, -2, -1), radius=0.2, outer_deg=60)
+    glow = fb.Material(color=(0.9, 0.7, 0.5), scattering=0.3)
+    unchanged, moves = [None] * 4, [None, moved(x=-1.4), None, None]
+    surfaces, both = ["primary"], ["primary", "light"]
+    # Each frame changes the frame before in one way.
+    arguments: dict[str, Any] = {"camera": CAMERA, "lights": [sun, lamp]}
+    for change, reused in [
+        ({}, []),
+        ({}, both),
+        ({"materials": unchanged}, both),
+        ({"transforms": unchanged}, both),
+        ({"lights": [replace(sun, color=(1, 0, 0)), lamp]}, both),
+        ({"lights": [sun, replace(lamp, intensity=3, range=20, direction=(-1, -2, -0.5))]}, both),
         ({"lights": [sun, lamp]}, both),
-        ({"lights": [replace(sun, color=(1, 0, 0)), replace(lamp, intensity=3, range=20)]}, both),
-        ({"lights": [replace(sun, angle_deg=20), lamp]}, both[:1]),
-        ({"lights": [sun, replace(lamp, position=(2, 3, 2))]}, both[:1]),
-        ({"lights": [sun, replace(lamp, radius=0.6)]}, both[:1]),
-        ({"lights": [replace(sun, direction=(0.3, -1, 0.2)), lamp]}, both[:1]),
-        ({"lights": [sun]}, both[:1]),
-        ({"lights": [sun], "materials": red}, []),
-        ({"lights": [sun], "materials": red}, both),
-        ({"lights": [sun], "transforms": [None, moved(x=-1.4), None, None]}, []),
-        ({"lights": [sun], "transforms": [None, moved(x=-1.4), None, None]}, both),
-        ({"lights": [sun], "transforms": [None, moved(x=-1.3), None, None]}, []),
-        ({"lights": [sun]}, []),
-        ({"lights": [sun], "camera": fb.Camera((1, 2, 5), (0, 0, 0))}, []),
-    ]
-    for arguments, reused in frames:
-        arguments = {"camera": CAMERA, **arguments}
+        ({"lights": [replace(sun, angle_deg=20), lamp]}, surfaces),
+        ({"lights": [replace(sun, angle_deg=20, direction=(0.3, -1, 0.2)), lamp]}, surfaces),
+        ({"lights": [sun, lamp]}, surfaces),
+        ({"lights": [sun, replace(lamp, position=(2, 3, 2))]}, surfaces),
+        ({"lights": [sun, replace(lamp, position=(2, 3, 2), radius=0.6)]}, surfaces),
+        ({"lights": [sun]}, surfaces),
+        ({"lights": []}, surfaces),
+        ({"lights": [sun]}, surfaces),
+        ({"materials": [glow, None, None, None]}, []),
+        ({}, both),
+        ({"transforms": moves}, []),
+        ({}, both),
+        ({"transforms": unchanged}, []),
+        ({"camera": fb.Camera((1, 2, 5), (0, 0, 0))}, []),
+    ]:
+        arguments.update(change)
         frame = renderer.frame(**arguments)
-        assert frame.report["reused"] == reused
+        assert frame.report["reused"] == reused, change
         expected = fb.Renderer(scene, size=SIZE, device=device, **options).frame(**arguments)
         assert_equal(frame, expected)
-        assert {name: frame.report[name] for name in ("rays", "far_rays", "devices")} == {
-            name: expected.report[name] for name in ("rays", "far_rays", "devices")
-        }
+        for name in ("rays", "far_rays", "devices"):
+            assert frame.report[name] == expected.report[name]
+
+
+def test_large_frames_are_not_kept(instances) -> None:
+    # One surface and 16 lights have 348 bytes for each pixel.
+    lights = [fb.DirectionalLight((0.1 * i, -1, 0)) for i in range(16)]
+    top = fb.Camera.orthographic((0, 3, 0), (0, 0, 0), (0, 0, 1), height=1.0)
+    for size, reused in [((700, 700), ["primary", "light"]), ((1000, 900), [])]:
+        renderer = fb.Renderer(instances[3], size=size, device="cpu", shadows="none")
+        assert np.isfinite(renderer.frame(top, lights).depth).all()
+        assert renderer.frame(top, lights).report["reused"] == reused
 
 
 def test_render_keeps_no_picture(scene) -> None:
