@@ -1,5 +1,5 @@
 // The search for the occluders along a beam: instances in a tree, and the levels of the far field. Twin of the searches
-// in src/scene/shadow.rs and of src/scene/far.rs.
+// in src/scene/shadow.rs, of caster.rs and of far.rs.
 
 #import scene_cases
 #import scene_objects

@@ -3,12 +3,13 @@
 //! A ray finds the surfaces that cast shadows: fields, and the triangles of sheets. The colours of a mesh are those of
 //! the face that is nearest to the hit of its field.
 
+use super::caster::ray_in_field;
 use super::face_look::{FaceLook, field_color, field_emission};
 use super::far::Split;
 use super::field::FieldHit;
 use super::light_rays::{LightRay, LightWork, SurfacePoint};
 use super::lit_surface::{BIAS_FIELD, BIAS_TRIANGLE};
-use super::shadow::{Casters, ray_in_field};
+use super::shadow::Casters;
 use super::tree::Line;
 use super::{Instance, Scene};
 use crate::bvh::watertight::FaceHit;

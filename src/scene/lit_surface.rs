@@ -1,10 +1,11 @@
 //! A visible surface with the light on it: the rays and cones that its light needs, and their evaluation on the CPU.
 
+use super::caster::NearList;
 use super::gbuffer::{GBuffer, Layer};
 use super::light_buffer::LightSampleMut;
 use super::light_rays::{LightRay, LightWork, SurfacePoint, basis, disc_point, toward};
 use super::occlusion::Occluders;
-use super::shadow::{Casters, NearList};
+use super::shadow::Casters;
 use super::transmission::{self, NO_LIGHT};
 use super::{Light, RenderOptions, Scene, SceneShadows, Spot};
 use glam::{DVec3, Vec3};

@@ -22,6 +22,7 @@
 
 pub(crate) mod article;
 pub(crate) mod bounces;
+pub(crate) mod caster;
 pub(crate) mod cone;
 pub(crate) mod device_beams;
 pub(crate) mod device_buffers;

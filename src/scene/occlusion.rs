@@ -21,11 +21,12 @@
 //! The value for one instance is at least its bound and does not depend on the others. Therefore the minimum of all
 //! values does not depend on the order.
 
+use super::caster::bias;
 use super::cone::{BallAhead, ConeSum, WideCone, clearance};
 use super::field::Field;
 use super::light_rays::{LightCone, LightRay, LightWork, SurfacePoint, basis};
 use super::nearby::{Beside, ConeOccluder, Nearby};
-use super::shadow::{Casters, bias};
+use super::shadow::Casters;
 use super::tree::Line;
 use super::{Instance, Scene};
 use crate::simd::with_vectors;

@@ -18,9 +18,10 @@
 //! [`PARTS`] narrow cones that divide the disc evenly, in which edges are straight enough.
 //!
 //! Steps of the stored distance also prove that the axis is free. Only where they become shorter than half a voxel, or
-//! an edge ends the walk, is the rest of the axis traced exactly. A field whose values may exceed the distance
-//! ([`Field::may_exceed_distance`]) has its axes traced from their start. Tiles of pixels ([`super::tile`]) skip a
-//! field by its values only if those change no faster than a distance. So shadows end at the surface of any values.
+//! an edge ends the walk, is the rest of the axis traced exactly. A field whose values
+//! [may exceed the distance](super::field::Field::may_exceed_distance) has its axes traced from their start. Tiles of
+//! pixels ([`super::tile`]) skip a field by its values only if those change no faster than a distance. So shadows end
+//! at the surface of any values.
 //!
 //! If the axis itself is blocked, the depth inside gives the distance of the edge only if there is an edge: the middle
 //! of a thin wall is as shallow as its rim. Rays just beyond the presumed edge are therefore evaluated, in
@@ -33,17 +34,14 @@
 //! voxel: the ray starts a number of voxels off the surface. No constant is in world units, so the scale of the scene
 //! has no effect. Other instances touch the surface without a gap.
 
+use super::Scene;
+use super::caster::{Caster, NearList, ray_in_field};
 use super::cone::{Cone, ConeShare, ConeSum, ConeWalk, Decision, RayPast, WideCone};
 use super::far::{Far, FarLevel, Split};
-use super::field::{Field, FieldHit, FieldRay};
-use super::light_rays::{LightCone, LightRay, LightWork, PARTS, SurfacePoint, basis, clip, disc_point, toward, widest};
-use super::thin::is_clear;
+use super::field::FieldHit;
+use super::light_rays::{LightCone, LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
 use super::tree::Line;
-use super::{Instance, Scene};
-use crate::geometry::Aabb;
 use crate::gpu::constants::scene_beams::END_FADE;
-use glam::DVec3;
-use std::sync::atomic::{AtomicU32, Ordering};
 
 /// The occluders of a picture: the instances of a scene and, past a distance, one far field for all of them
 /// ([`super::far`]).
@@ -53,45 +51,6 @@ pub struct Casters<'a> {
     pub far: Option<&'a Far>,
     /// The instances that may block the light that is evaluated; `None` if all may.
     pub near: Option<&'a NearList>,
-}
-
-/// The instances that may block a light from neighbouring surfaces.
-#[derive(Debug)]
-pub struct NearList {
-    /// Near instances first.
-    items: Vec<u32>,
-    /// The instance that blocked a ray last, which likely blocks the next one; `u32::MAX` before.
-    last: AtomicU32,
-}
-
-impl NearList {
-    /// `items` has near instances first.
-    pub fn new(items: Vec<u32>) -> Self {
-        Self { items, last: AtomicU32::new(u32::MAX) }
-    }
-
-    /// The instances in the order in which a ray visits them. The order has no effect on its result: the first one is
-    /// visited early only if it blocked all of a ray, and all others keep their order.
-    fn for_ray(&self) -> impl Iterator<Item = u32> {
-        let last = self.last.load(Ordering::Relaxed);
-        let first = Some(last).filter(|last| *last != u32::MAX);
-        first.into_iter().chain(self.items.iter().copied().filter(move |item| *item != last))
-    }
-}
-
-/// One occluder on an interval of a ray: an instance or a level of the far field.
-pub struct Caster<'a> {
-    pub instance: &'a Instance,
-    pub field: &'a dyn Field,
-    /// Its box, scene space.
-    bounds: &'a Aabb,
-    /// Interval in which it is evaluated, scene units.
-    part: [f64; 2],
-    /// Whether the start is on its own surface.
-    is_own: bool,
-    /// Length to skip if the interval begins inside the occluder, scene units; above zero only for the far field, see
-    /// [`super::far`].
-    skip: f64,
 }
 
 impl<'a> Casters<'a> {
@@ -152,12 +111,11 @@ impl<'a> Casters<'a> {
         match self.near {
             None => self.scene.tree.walk(&line, reach, pass),
             Some(near) => {
-                let mut visit = |limit, item| Some(pass(item, limit)).filter(|limit| *limit >= 0.0);
-                // Cones add up their occluders in the order of the list.
+                let visit = |limit, item| Some(pass(item, limit)).filter(|limit| *limit >= 0.0);
                 if cone.slope == 0.0 {
                     near.for_ray().try_fold(reach, visit);
                 } else {
-                    near.items.iter().try_fold(reach, |limit, &item| visit(limit, item));
+                    near.for_cone().try_fold(reach, visit);
                 }
             }
         }
@@ -220,7 +178,7 @@ impl<'a> Casters<'a> {
         if !caster.field.prefers_rays() {
             return None;
         }
-        if !may_meet(caster, place, ray, slope) {
+        if !caster.may_meet(place, ray, slope) {
             return Some(Cone::FREE);
         }
         sum.thin.block(caster.instance.shade, ray, slope, |thin| self.hit_of(caster, place, thin, work).is_some());
@@ -233,7 +191,7 @@ impl<'a> Casters<'a> {
         if let Some(found) = self.add_thin(caster, cone, sum, work) {
             return found;
         }
-        let Some(walk) = cone_walk(caster, cone, 1.0) else { return Cone::FREE };
+        let Some(walk) = caster.cone_walk(cone, 1.0) else { return Cone::FREE };
         let mut steps = 0;
         let found = match walk.decide(&mut steps, |from| self.walk_hit(caster, &walk, from, work)) {
             Decision::Free => Cone::FREE,
@@ -331,7 +289,7 @@ impl<'a> Casters<'a> {
                 if self.hit_of(&caster, place, ray, work).is_some() {
                     share *= 1.0 - caster.instance.shade;
                     if let Some(near) = self.near.filter(|_| caster.instance.shade >= 1.0) {
-                        near.last.store(item, Ordering::Relaxed);
+                        near.set_last(item);
                     }
                     break;
                 }
@@ -408,7 +366,7 @@ impl<'a> Casters<'a> {
         work: &mut LightWork,
     ) -> Option<FieldHit> {
         let in_field = ray_in_field(caster.instance, caster.is_own, place, ray);
-        hit_in_field(caster, in_field, from, work)
+        caster.hit_in_field(in_field, from, work)
     }
 
     /// The position at which the axis of a cone enters an occluder at `from` or later, where the walk has found no
@@ -416,13 +374,13 @@ impl<'a> Casters<'a> {
     fn walk_hit(&self, caster: &Caster<'_>, walk: &ConeWalk<'_>, from: f32, work: &mut LightWork) -> Option<f32> {
         // If an occluder is entered at its first point, the length to skip is measured from there.
         let from = if caster.skip > 0.0 { caster.part[0] } else { f64::from(from) };
-        hit_in_field(caster, walk.ray, from, work).map(|hit| hit.t)
+        caster.hit_in_field(walk.ray, from, work).map(|hit| hit.t)
     }
 
     /// Evaluates a cone of radius `slope t` past one occluder. Only edges closer to the axis than `x_known` are
     /// relevant.
     fn cone_past(&self, caster: &Caster<'_>, cone: LightCone<'_>, x_known: f32, work: &mut LightWork) -> Cone {
-        let Some(walk) = cone_walk(caster, cone, x_known) else { return Cone::FREE };
+        let Some(walk) = caster.cone_walk(cone, x_known) else { return Cone::FREE };
         let mut steps = 0;
         let found = walk.beside(x_known, &mut steps, |from| self.walk_hit(caster, &walk, from, work));
         work.steps += steps;
@@ -441,9 +399,9 @@ impl<'a> Casters<'a> {
         x_known: f32,
         work: &mut LightWork,
     ) -> Cone {
-        let Some(walk) = cone_walk(caster, cone, 1.0) else { return Cone::FREE };
+        let Some(walk) = caster.cone_walk(cone, 1.0) else { return Cone::FREE };
         let mut steps = 0;
-        let hit_from = |from| hit_in_field(caster, walk.ray, f64::from(from), work).map(|hit| hit.t);
+        let hit_from = |from| caster.hit_in_field(walk.ray, f64::from(from), work).map(|hit| hit.t);
         let found = walk.beside_wide(wide, x_known, &mut steps, hit_from);
         work.steps += steps;
         match found {
@@ -539,77 +497,10 @@ impl<'a> Casters<'a> {
         if caster.field.prefers_rays() {
             return if self.hit_of(caster, cone.place, cone.ray, work).is_some() { 0.0 } else { 1.0 };
         }
-        let Some(walk) = cone_walk(caster, cone, x_known) else { return 1.0 };
+        let Some(walk) = caster.cone_walk(cone, x_known) else { return 1.0 };
         let mut steps = 0;
         let found = walk.beside(x_known, &mut steps, |from| self.walk_hit(caster, &walk, from, work));
         work.steps += steps;
         found.unwrap_or(0.0)
     }
-}
-
-/// The first hit of a ray in field space with an occluder, at `from` or later. All positions are in scene units.
-fn hit_in_field(
-    caster: &Caster<'_>,
-    (origin, direction): (DVec3, DVec3),
-    from: f64,
-    work: &mut LightWork,
-) -> Option<FieldHit> {
-    let [lower, upper] = caster.field.surface_bounds();
-    let mut first_hit = |from: f64| {
-        let (enter, leave) = clip(origin, direction, lower, upper, from, caster.part[1])?;
-        let start = FieldRay { origin: (origin + enter * direction).as_vec3(), direction: direction.as_vec3() };
-        let (hit, taken) = caster.field.first_hit(&start, (leave - enter) as f32);
-        work.steps += taken;
-        hit.map(|hit| FieldHit { t: hit.t + enter as f32, ..hit })
-    };
-    match first_hit(from)? {
-        hit if hit.at_start && caster.skip > 0.0 => first_hit(caster.part[0] + caster.skip),
-        hit => Some(hit),
-    }
-}
-
-/// The interval of a cone of radius `slope t` in which the surface of an occluder may come within `x_known` radii of
-/// the axis.
-fn cone_walk<'a>(
-    caster: &Caster<'a>,
-    LightCone { place, ray, slope }: LightCone<'_>,
-    x_known: f32,
-) -> Option<ConeWalk<'a>> {
-    let Caster { instance, field, bounds, .. } = *caster;
-    let (origin, direction) = ray_in_field(instance, caster.is_own, place, ray);
-    let [lower, upper] = field.surface_bounds();
-    // The box is enlarged by the radius of the cone at its far side; see `Line::cone`.
-    let grown = instance.field_extent * widest(place, ray, slope * x_known.max(0.0), bounds);
-    let clip_from = |from: f64| clip(origin, direction, lower - grown, upper + grown, from, caster.part[1]);
-    let (mut enter, leave) = clip_from(caster.part[0])?;
-    if caster.skip > 0.0 && field.distance((origin + enter * direction).as_vec3()) <= 0.0 {
-        (enter, _) = clip_from(caster.part[0] + caster.skip)?;
-    }
-    Some(ConeWalk::new(field, instance, (origin, direction), [enter, leave], ray.direction, slope))
-}
-
-/// Distance by which a ray in the field of the own instance starts off the surface, scene units.
-pub(crate) fn bias(own: &Instance, place: &SurfacePoint) -> f32 {
-    place.bias_voxels * (own.field_normal_from_scene * place.normal).length()
-}
-
-/// A ray in the field space of an instance. Its start is moved off the surface if the surface belongs to the instance.
-pub(crate) fn ray_in_field(instance: &Instance, is_own: bool, place: &SurfacePoint, ray: &LightRay) -> (DVec3, DVec3) {
-    let mut p = place.p;
-    if is_own {
-        p += (bias(instance, place) * place.normal).as_dvec3();
-    }
-    (instance.field_from_scene.transform_point3(p), instance.field_from_scene.matrix3 * ray.direction)
-}
-
-/// Whether a cone may touch an occluder, by the ball around its surface.
-fn may_meet(caster: &Caster<'_>, place: &SurfacePoint, ray: &LightRay, slope: f32) -> bool {
-    let Caster { instance, field, .. } = *caster;
-    let (origin, direction) = ray_in_field(instance, caster.is_own, place, ray);
-    let [lower, upper] = field.surface_bounds();
-    // Under non-uniform scale a cone is widest where the scene is stretched least.
-    let pace = 1.0 / (instance.local_from_scene * ray.direction.as_vec3()).length();
-    let slope = slope * pace / instance.stretch[0];
-    let direction = direction.normalize().as_vec3();
-    !is_clear(origin.as_vec3(), direction, slope, 0.5 * (lower + upper), field.surface_radius())
 }

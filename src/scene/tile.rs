@@ -7,12 +7,12 @@
 //! out of the truncated cone, or if its distances along the axis prove that its surface does. The surfaces of the tile
 //! test the remaining instances only. A ray first tests the instance that blocked the last ray of the tile.
 
+use super::caster::NearList;
 use super::cone::ConeWalk;
 use super::gbuffer::Layer;
 use super::light_rays::{LightRay, clip};
 use super::lit_surface::SceneLight;
 use super::pass::Pass;
-use super::shadow::NearList;
 use super::tree::Line;
 use super::{Instance, Scene, SceneShadows};
 use glam::DVec3;

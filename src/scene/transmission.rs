@@ -24,9 +24,10 @@
 //! starts one voxel before `p`, outside, and the length begins at the field's own surface; a ray away from it starts
 //! outside like shadow rays.
 
+use super::caster::ray_in_field;
 use super::field::FieldRay;
 use super::light_rays::{LightRay, LightWork, SurfacePoint, clip};
-use super::shadow::{Casters, ray_in_field};
+use super::shadow::Casters;
 use glam::Vec3;
 
 /// The shortest step, voxels.
