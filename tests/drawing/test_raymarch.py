@@ -147,6 +147,7 @@ def test_a_device_finds_the_roots_of_noise(gpu: str) -> None:
     assert (np.isfinite(here) == np.isfinite(there)).all()
     assert 0.3 < np.isfinite(here).mean() < 1
     hit = np.isfinite(here)
+    # Rounding moves a root by 2e-5, but by more where a ray grazes the surface. The bound allows 2 of 26,738 hits.
     assert exceeds(np.abs(here[hit] - there[hit]), 1e-3).mean() <= 1e-4
 
 
