@@ -163,6 +163,13 @@ impl LocalGrid {
         DVec3::new(self.axes[0].at(x), self.axes[1].at(y), self.axes[2].at(z))
     }
 
+    /// Index of a sample in the array of the grid, x fastest.
+    #[inline(always)]
+    pub(crate) fn index(&self, [x, y, z]: [usize; 3]) -> usize {
+        let [nx, ny, _] = self.shape();
+        x + nx * (y + ny * z)
+    }
+
     pub(crate) fn step(&self) -> DVec3 {
         DVec3::new(self.axes[0].step, self.axes[1].step, self.axes[2].step)
     }

@@ -1,6 +1,7 @@
 //! The box around a block of samples, and arithmetic in lanes that compiles to vector instructions.
 
-use crate::bvh::WIDTH;
+use crate::bake::LocalGrid;
+use crate::bvh::{Node, WIDTH};
 use glam::Vec3;
 
 /// Number of corners of a block.
@@ -14,6 +15,12 @@ pub(super) struct SampleBox {
 }
 
 impl SampleBox {
+    /// The box of the samples `low..high` of a grid.
+    pub(super) fn new(grid: &LocalGrid, low: [usize; 3], high: [usize; 3]) -> Self {
+        let (first, last) = (grid.at(low), grid.at(high.map(|i| i - 1)));
+        Self { center: ((first + last) * 0.5).as_vec3(), half: ((last - first) * 0.5).as_vec3() }
+    }
+
     /// Positions of the corners; bit `axis` of the index selects the upper side.
     #[inline(always)]
     pub(super) fn corners(&self) -> [[f32; CORNERS]; 3] {
@@ -41,6 +48,36 @@ impl SampleBox {
         }
         slackest
     }
+}
+
+/// A linear function over a block: its value at the centre, and its gradient.
+#[derive(Clone, Copy)]
+pub(super) struct Linear {
+    pub value: f32,
+    pub gradient: [f32; 3],
+}
+
+/// Distance of `p` to the box of each child of a node, and its gradient.
+#[inline(always)]
+pub(super) fn tangents_of_boxes(node: &Node, p: Vec3) -> ([f32; WIDTH], [[f32; WIDTH]; 3]) {
+    let mut value = [0.0; WIDTH];
+    let mut gradient = [[0.0; WIDTH]; 3];
+    for i in 0..WIDTH {
+        // Vector from the nearest point of the box to `p`.
+        let mut g = [0.0f32; 3];
+        for axis in 0..3 {
+            let above_min = p[axis] - node.min[axis][i];
+            let above_max = p[axis] - node.max[axis][i];
+            g[axis] = max(above_max, min(above_min, 0.0));
+        }
+        value[i] = (g[0] * g[0] + g[1] * g[1] + g[2] * g[2]).sqrt();
+        // An absent child is infinitely far and its gradient is NaN, which fails every comparison.
+        let inverse = if value[i] > 0.0 { 1.0 / value[i] } else { 0.0 };
+        for axis in 0..3 {
+            gradient[axis][i] = g[axis] * inverse;
+        }
+    }
+    (value, gradient)
 }
 
 #[inline(always)]

@@ -2,21 +2,26 @@
 //!
 //! *Theory.* Two meshes have the same faces and some vertices at other positions. Let C be the changed triangles at
 //! their old and their new positions. A sample p with the old distance d(p) keeps it, to the bit, if every triangle of
-//! C is farther than d(p): then an unchanged triangle is nearest before and after, and no new one is nearer. The
-//! distance to C has slope 1, so all samples of a block with the centre c keep their distance if
+//! C is farther than d(p): then an unchanged triangle is nearest before and after, and no new one is nearer.
+//!
+//! The distance to a triangle of C, or to a box of several, is convex. Over a block with the centre c it therefore lies
+//! above its tangent at c (see [`super`]). Let l be a linear function with l(p) >= d(p) at all samples of the block.
+//! A triangle or box whose tangent lies above l at the eight corners of the block changes no sample. With the gradients
+//! h of l and g of the tangent, and the half sizes s of the block, that is
 //!
 //! ```text
-//! distance(c, C) > max over samples p of (d(p) + |p - c|)
+//! tangent(c) > l(c) + |h.x - g.x| s.x + |h.y - g.y| s.y + |h.z - g.z| s.z
 //! ```
 //!
-//! d has slope 1 too. A single sample q therefore bounds the right side by d(q) + |q - c| + 2 r for a block of radius
-//! r, which suffices for large blocks. Both sides are float32. The margin is that of the culling test of the bake.
+//! h is the mean gradient of d between the corners, and l(c) the smallest value that bounds all samples. In the
+//! smallest blocks the tangent of a triangle is then compared with the samples themselves. All of it is float32, and
+//! the margin is that of the culling test of the bake.
 
 use super::super::LocalGrid;
-use super::block::SampleBox;
-use super::{LEAF, SLACK, reach};
-use crate::bvh::Bvh;
-use glam::{DVec3, Vec3};
+use super::block::{CORNERS, Linear, SampleBox, max, not_positive, tangents_of_boxes};
+use super::{Candidates, LEAF, SLACK, TASK, blocks, leaf_of_tile, reach};
+use crate::bvh::{Bvh, WIDTH};
+use crate::simd::with_vectors;
 
 /// Changed triangles, and the samples of the field before the change.
 pub(in crate::bake) struct Changes<'a> {
@@ -47,40 +52,205 @@ impl<'a> Changes<'a> {
         Self { triangles, samples, inverse_scale: scale.recip() as f32, half_thickness, slack }
     }
 
-    /// Whether a change may reach a sample of the block `low..high`.
-    pub(super) fn reach(&self, grid: &LocalGrid, block: &SampleBox, low: [usize; 3], high: [usize; 3]) -> bool {
-        let bound = if (0..3).all(|axis| high[axis] - low[axis] <= LEAF) {
-            self.bound_of_samples(grid, block, low, high)
-        } else {
-            let middle = [0, 1, 2].map(|axis| low[axis].midpoint(high[axis]));
-            self.bound_at(grid, block, middle) + 2.0 * block.half.length() * (1.0 + 1e-5)
-        };
-        let limit = bound + self.slack;
-        self.triangles.nearest(block.center, limit * limit).is_some()
+    /// The blocks of [`LEAF`]^3 samples of a tile that a change may reach, one bit each, x fastest. The vectors are
+    /// buffers.
+    pub(super) fn leaves(
+        &self,
+        [of_tile, of_half]: [&mut Candidates; 2],
+        stack: &mut Candidates,
+        grid: &LocalGrid,
+        low: [usize; 3],
+        high: [usize; 3],
+    ) -> u64 {
+        with_vectors!(
+            (changes: &Changes<'_> = self, of_tile: &mut Candidates = of_tile, of_half: &mut Candidates = of_half,
+             stack: &mut Candidates = stack, grid: &LocalGrid = grid, low: [usize; 3] = low, high: [usize; 3] = high)
+            -> u64 {
+                stack.clear();
+                stack.push((0, u8::MAX));
+                Block::new(changes, grid, low, high).cull_nodes(stack, of_tile);
+                let mut leaves = 0;
+                for half in blocks(low, high, [TASK / 2; 3]) {
+                    if of_tile.is_empty() {
+                        break;
+                    }
+                    stack.clear();
+                    stack.extend_from_slice(of_tile);
+                    Block::new(changes, grid, half.0, half.1).cull_nodes(stack, of_half);
+                    for leaf in blocks(half.0, half.1, [LEAF; 3]) {
+                        if of_half.is_empty() {
+                            break;
+                        }
+                        stack.clear();
+                        stack.extend_from_slice(of_half);
+                        let is_reached = Block::new(changes, grid, leaf.0, leaf.1).is_reached(stack);
+                        leaves |= u64::from(is_reached) << leaf_of_tile(low, leaf.0);
+                    }
+                }
+                leaves
+            }
+        )
     }
 
-    fn bound_of_samples(&self, grid: &LocalGrid, block: &SampleBox, low: [usize; 3], high: [usize; 3]) -> f32 {
-        let mut largest = 0.0f32;
-        for z in low[2]..high[2] {
-            for y in low[1]..high[1] {
-                for x in low[0]..high[0] {
-                    largest = largest.max(self.bound_at(grid, block, [x, y, z]));
+    /// The distance of a stored sample, local units.
+    #[inline(always)]
+    fn distance(&self, stored: f32) -> f32 {
+        match self.half_thickness {
+            Some(half) => stored * self.inverse_scale + half,
+            None => stored.abs() * self.inverse_scale,
+        }
+    }
+}
+
+/// A block of samples before the change.
+struct Block<'a> {
+    changes: &'a Changes<'a>,
+    grid: &'a LocalGrid,
+    low: [usize; 3],
+    /// Number of samples along each axis.
+    shape: [usize; 3],
+    bounds: SampleBox,
+    /// Positions of the samples along each axis, from the centre of the block.
+    offsets: [[f32; TASK]; 3],
+}
+
+impl<'a> Block<'a> {
+    #[inline(always)]
+    fn new(changes: &'a Changes<'a>, grid: &'a LocalGrid, low: [usize; 3], high: [usize; 3]) -> Self {
+        let shape = [0, 1, 2].map(|axis| high[axis] - low[axis]);
+        let bounds = SampleBox::new(grid, low, high);
+        let mut offsets = [[0.0; TASK]; 3];
+        for axis in 0..3 {
+            for i in 0..shape[axis] {
+                offsets[axis][i] = grid.axes[axis].at(low[axis] + i) as f32 - bounds.center[axis];
+            }
+        }
+        Self { changes, grid, low, shape, bounds, offsets }
+    }
+
+    /// A linear function that is at least the distance at each sample.
+    #[inline(always)]
+    fn bound(&self) -> Linear {
+        let gradient = self.gradient();
+        Linear { value: self.most_above(gradient), gradient }
+    }
+
+    /// Moves the nodes of `stack` that may change a sample to `kept`, opening those larger than the block.
+    #[inline(always)]
+    fn cull_nodes(&self, stack: &mut Candidates, kept: &mut Candidates) {
+        kept.clear();
+        let bound = self.bound();
+        let size = 2.0 * self.bounds.half.max_element();
+        while let Some((index, mask)) = stack.pop() {
+            let node = &self.changes.triangles.nodes[index as usize];
+            let (value, gradient) = tangents_of_boxes(node, self.bounds.center);
+            let mut keep = self.not_above(&value, &gradient, &bound) & mask;
+            let mut rest = keep;
+            while rest != 0 {
+                let lane = rest.trailing_zeros() as usize;
+                rest &= rest - 1;
+                let child = node.children[lane];
+                if !child.is_pack() && node.size(lane) > size {
+                    stack.push((child.index() as u32, u8::MAX));
+                    keep &= !(1 << lane);
+                }
+            }
+            if keep != 0 {
+                kept.push((index, keep));
+            }
+        }
+    }
+
+    /// Whether a triangle in the nodes of `stack` may change a sample of the block.
+    #[inline(always)]
+    fn is_reached(&self, stack: &mut Candidates) -> bool {
+        let Changes { triangles, slack, .. } = *self.changes;
+        let bound = self.bound();
+        while let Some((index, mask)) = stack.pop() {
+            let node = &triangles.nodes[index as usize];
+            let (value, gradient) = tangents_of_boxes(node, self.bounds.center);
+            let mut rest = self.not_above(&value, &gradient, &bound) & mask;
+            while rest != 0 {
+                let child = node.children[rest.trailing_zeros() as usize];
+                rest &= rest - 1;
+                if !child.is_pack() {
+                    stack.push((child.index() as u32, u8::MAX));
+                    continue;
+                }
+                let pack = &triangles.packs[child.index()];
+                let (value, gradient) = pack.tangents(self.bounds.center);
+                let mut rest = self.not_above(&value, &gradient, &bound) & pack.mask();
+                while rest != 0 {
+                    let lane = rest.trailing_zeros() as usize;
+                    rest &= rest - 1;
+                    let gradient = [gradient[0][lane], gradient[1][lane], gradient[2][lane]];
+                    if self.most_above(gradient) + slack >= value[lane] {
+                        return true;
+                    }
                 }
             }
         }
-        largest
+        false
     }
 
-    /// The distance of a sample before the change, plus that from the sample to the centre of the block.
+    /// Mask of the lanes whose tangent does not lie above a bound throughout the block.
     #[inline(always)]
-    fn bound_at(&self, grid: &LocalGrid, block: &SampleBox, [x, y, z]: [usize; 3]) -> f32 {
-        let [nx, ny, _] = grid.shape();
-        let stored = self.samples[x + nx * (y + ny * z)];
-        let distance = match self.half_thickness {
-            Some(half) => stored * self.inverse_scale + half,
-            None => stored.abs() * self.inverse_scale,
-        };
-        let p = DVec3::new(grid.axes[0].at(x), grid.axes[1].at(y), grid.axes[2].at(z)).as_vec3();
-        distance + Vec3::distance(p, block.center)
+    fn not_above(&self, value: &[f32; WIDTH], gradient: &[[f32; WIDTH]; 3], bound: &Linear) -> u8 {
+        let mut excess = [0.0f32; WIDTH];
+        for i in 0..WIDTH {
+            excess[i] = value[i] - bound.value - self.changes.slack;
+            for axis in 0..3 {
+                excess[i] -= (bound.gradient[axis] - gradient[axis][i]).abs() * self.bounds.half[axis];
+            }
+        }
+        not_positive(&excess)
+    }
+
+    /// The gradient of the distances, from the samples at the corners.
+    #[inline(always)]
+    fn gradient(&self) -> [f32; 3] {
+        let mut rise = [0.0f32; 3];
+        for corner in 0..CORNERS {
+            let mut voxel = self.low;
+            for axis in 0..3 {
+                voxel[axis] += (corner >> axis & 1) * (self.shape[axis] - 1);
+            }
+            let distance = self.changes.distance(self.changes.samples[self.grid.index(voxel)]);
+            for axis in 0..3 {
+                rise[axis] += if corner >> axis & 1 == 1 { distance } else { -distance };
+            }
+        }
+        // Each is the sum of four differences over the whole width of the block. A distance has slope 1; a mean is
+        // steeper only by the rounding of samples that are very close together.
+        for axis in 0..3 {
+            let half = self.bounds.half[axis];
+            rise[axis] = if half > 0.0 { (rise[axis] / (8.0 * half)).clamp(-1.0, 1.0) } else { 0.0 };
+        }
+        rise
+    }
+
+    /// The largest difference between the distance of a sample and the linear function with the given gradient that is
+    /// zero at the centre.
+    #[inline(always)]
+    fn most_above(&self, gradient: [f32; 3]) -> f32 {
+        let [x, y, z] = self.low;
+        let mut most = [f32::NEG_INFINITY; LEAF];
+        for k in 0..self.shape[2] {
+            for j in 0..self.shape[1] {
+                let rise = gradient[1] * self.offsets[1][j] + gradient[2] * self.offsets[2][k];
+                let row = &self.changes.samples[self.grid.index([x, y + j, z + k])..][..self.shape[0]];
+                let above = |sample: f32, offset: f32| self.changes.distance(sample) - (gradient[0] * offset + rise);
+                let (whole, rest) = row.as_chunks::<LEAF>();
+                for (samples, offsets) in whole.iter().zip(self.offsets[0].as_chunks::<LEAF>().0) {
+                    for i in 0..LEAF {
+                        most[i] = max(most[i], above(samples[i], offsets[i]));
+                    }
+                }
+                for (&sample, &offset) in rest.iter().zip(&self.offsets[0][LEAF * whole.len()..]) {
+                    most[0] = max(most[0], above(sample, offset));
+                }
+            }
+        }
+        max(max(most[0], most[1]), max(most[2], most[3]))
     }
 }

@@ -57,7 +57,7 @@ use crate::error::Error;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::simd::with_vectors;
-use block::{CORNERS, SampleBox, max, min, not_positive, roots};
+use block::{CORNERS, Linear, SampleBox, max, min, not_positive, roots, tangents_of_boxes};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -65,6 +65,10 @@ use rayon::prelude::*;
 const TASK: usize = 16;
 /// Number of samples along the side of a block that lists its triangles.
 const LEAF: usize = 4;
+/// Number of leaves along the side of a task.
+const LEAVES: usize = TASK / LEAF;
+/// The leaves of the first half of a task along each axis, one bit each.
+const LEAVES_OF_HALF: u64 = 0x33_0033;
 /// Number of samples of a group along each axis. A group is evaluated side by side.
 const GROUP: [usize; 3] = [4, 2, 2];
 const LANES: usize = GROUP[0] * GROUP[1] * GROUP[2];
@@ -135,10 +139,14 @@ fn fill_tiles(
     (0..tasks.iter().product::<usize>()).into_par_iter().try_for_each_init(BlockScratch::default, |scratch, task| {
         let low = [task % tasks[0], task / tasks[0] % tasks[1], task / (tasks[0] * tasks[1])].map(|i| i * TASK);
         let high = [0, 1, 2].map(|axis| (low[axis] + TASK).min(shape[axis]));
-        let mut tile = Tile { bvh, grid, slack, limit, changes, low, samples: [empty; TASK * TASK * TASK] };
-        tile.fill(scratch, low, high);
-        // SAFETY: tasks are disjoint boxes of the grid, and each writes only rows of its own box.
-        unsafe { rows.write(low, high, &tile.samples, &put) };
+        let BlockScratch { levels: [of_tile, of_half, _], stack, .. } = scratch;
+        let leaves = changes.map_or(u64::MAX, |changes| changes.leaves([of_tile, of_half], stack, grid, low, high));
+        if leaves != 0 {
+            let mut tile = Tile { bvh, grid, slack, limit, leaves, low, samples: [empty; TASK * TASK * TASK] };
+            tile.fill(scratch, low, high);
+            // SAFETY: tasks are disjoint boxes of the grid, and each writes only rows of its own box.
+            unsafe { rows.write(low, high, &tile.samples, &put) };
+        }
         progress.advance(high.iter().zip(low).map(|(h, l)| (h - l) as u64).product())
     })
 }
@@ -220,15 +228,8 @@ impl Tangents {
 struct List {
     /// Value at the centre and row in `Tangents`, packed into one integer that sorts by the value.
     keys: Vec<u64>,
-    tangents: Vec<Tangent>,
+    tangents: Vec<Linear>,
     frames: Vec<TriangleFrame>,
-}
-
-/// A linear lower bound: its value at the centre of the block, and its gradient.
-#[derive(Clone, Copy)]
-struct Tangent {
-    value: f32,
-    gradient: [f32; 3],
 }
 
 struct Tile<'a> {
@@ -236,8 +237,8 @@ struct Tile<'a> {
     grid: &'a LocalGrid,
     slack: f32,
     limit: f32,
-    /// The changes of an update, which computes some blocks only.
-    changes: Option<&'a Changes<'a>>,
+    /// The blocks of [`LEAF`]^3 samples to compute, one bit each, x fastest. An update computes some of them only.
+    leaves: u64,
     low: [usize; 3],
     samples: [f32; TASK * TASK * TASK],
 }
@@ -255,10 +256,7 @@ impl Tile<'_> {
     #[inline(always)]
     fn fill_portable(&mut self, scratch: &mut BlockScratch, low: [usize; 3], high: [usize; 3]) {
         let BlockScratch { levels: [root, middle, packs], stack, tangents, list } = scratch;
-        let block = self.block(low, high);
-        if self.is_kept(&block, low, high) {
-            return;
-        }
+        let block = SampleBox::new(self.grid, low, high);
         let Some(nearest) = self.bvh.nearest(block.center, f32::INFINITY) else { return };
         if self.is_beyond(&block, nearest.distance_squared) {
             return;
@@ -269,10 +267,10 @@ impl Tile<'_> {
         self.cull_nodes(&block, first, stack, root);
 
         for sub in blocks(low, high, [TASK / 2; 3]) {
-            let block = self.block(sub.0, sub.1);
-            if self.is_kept(&block, sub.0, sub.1) {
+            if self.leaves >> leaf_of_tile(low, sub.0) & LEAVES_OF_HALF == 0 {
                 continue;
             }
+            let block = SampleBox::new(self.grid, sub.0, sub.1);
             let bound = self.just_beyond(first, block.center);
             let found = self.bvh.nearest(block.center, bound);
             let (of_parent, squared) = found.map_or((first, bound), |nearest| (nearest.slot, nearest.distance_squared));
@@ -287,10 +285,10 @@ impl Tile<'_> {
             // The nearest triangle of the previous block may be nearer than that of the parent.
             let mut previous = of_parent;
             for sub in blocks(sub.0, sub.1, [LEAF; 3]) {
-                let block = self.block(sub.0, sub.1);
-                if self.is_kept(&block, sub.0, sub.1) {
+                if self.leaves >> leaf_of_tile(low, sub.0) & 1 == 0 {
                     continue;
                 }
+                let block = SampleBox::new(self.grid, sub.0, sub.1);
                 let distance_squared = |slot: Slot| self.bvh.frame(slot).distance_squared(block.center);
                 let mut near =
                     if distance_squared(previous) < distance_squared(of_parent) { previous } else { of_parent };
@@ -317,20 +315,9 @@ impl Tile<'_> {
         }
     }
 
-    fn block(&self, low: [usize; 3], high: [usize; 3]) -> SampleBox {
-        let (first, last) = (self.grid.at(low), self.grid.at(high.map(|i| i - 1)));
-        SampleBox { center: ((first + last) * 0.5).as_vec3(), half: ((last - first) * 0.5).as_vec3() }
-    }
-
     /// Squared distance of `p` to a triangle, plus the rounding of the search that it bounds.
     fn just_beyond(&self, slot: Slot, p: Vec3) -> f32 {
         self.bvh.frame(slot).distance_squared(p) * (1.0 + 1e-5) + 1e-12
-    }
-
-    /// Whether no sample of the block `low..high` can have changed.
-    #[inline(always)]
-    fn is_kept(&self, block: &SampleBox, low: [usize; 3], high: [usize; 3]) -> bool {
-        self.changes.is_some_and(|changes| !changes.reach(self.grid, block, low, high))
     }
 
     /// Whether no sample of the block is within the limit.
@@ -366,19 +353,11 @@ impl Tile<'_> {
     /// Mask of the children of a node that pass the culling test.
     #[inline(always)]
     fn survivors(&self, node: &Node, block: &SampleBox, bounds: &[f32; CORNERS]) -> u8 {
+        let (value, gradient) = tangents_of_boxes(node, block.center);
         let mut excess = [0.0f32; WIDTH];
         for i in 0..WIDTH {
-            // Vector from the nearest point of the box to the centre of the block.
-            let mut g = [0.0f32; 3];
-            for axis in 0..3 {
-                let above_min = block.center[axis] - node.min[axis][i];
-                let above_max = block.center[axis] - node.max[axis][i];
-                g[axis] = max(above_max, min(above_min, 0.0));
-            }
-            let value = (g[0] * g[0] + g[1] * g[1] + g[2] * g[2]).sqrt();
-            let inverse = if value > 0.0 { 1.0 / value } else { 0.0 };
-            // An absent child is infinitely far and its gradient is NaN, which fails every comparison.
-            excess[i] = value - self.slack - block.slackest(g.map(|x| x * inverse), bounds);
+            let slackest = block.slackest([gradient[0][i], gradient[1][i], gradient[2][i]], bounds);
+            excess[i] = value[i] - self.slack - slackest;
         }
         not_positive(&excess)
     }
@@ -488,7 +467,7 @@ impl Tile<'_> {
         for &key in &list.keys {
             let row = key as u32 as usize;
             let gradient = [0, 1, 2].map(|axis| tangents.gradient[axis][row]);
-            list.tangents.push(Tangent { value: tangents.value[row], gradient });
+            list.tangents.push(Linear { value: tangents.value[row], gradient });
             list.frames.push(self.bvh.frame(tangents.slot[row]));
         }
         nearest.1
@@ -547,6 +526,12 @@ impl Tile<'_> {
 /// packs each, one for each sample, cost less.
 fn most_packs(samples: usize, searched: u32) -> usize {
     samples * (SEARCH_COST + SEARCHED_PACK_COST * searched) as usize / LISTED_PACK_COST as usize
+}
+
+/// Index of the leaf that begins at the sample `from` in the tile that begins at `low`, x fastest.
+fn leaf_of_tile(low: [usize; 3], from: [usize; 3]) -> usize {
+    let [x, y, z] = [0, 1, 2].map(|axis| (from[axis] - low[axis]) / LEAF);
+    x + LEAVES * (y + LEAVES * z)
 }
 
 /// Divides a box of samples into blocks of at most `side` samples, x fastest.

@@ -90,9 +90,9 @@ fn packs_and_most(mesh: &Mesh, lower: DVec3, upper: DVec3, shape: [usize; 3]) ->
     let local = LocalGrid::new(&Grid::new(lower, upper, shape).unwrap(), mesh);
     let bvh = mesh.bvh();
     let samples = [f32::INFINITY; TASK * TASK * TASK];
-    let tile = Tile { bvh, grid: &local, slack: SLACK, limit: f32::INFINITY, changes: None, low: [0; 3], samples };
-    let searched = bvh.nearest(tile.block([0; 3], shape).center, f32::INFINITY).unwrap().packs;
-    let block = tile.block([0; 3], [LEAF; 3]);
+    let tile = Tile { bvh, grid: &local, slack: SLACK, limit: f32::INFINITY, leaves: u64::MAX, low: [0; 3], samples };
+    let searched = bvh.nearest(SampleBox::new(&local, [0; 3], shape).center, f32::INFINITY).unwrap().packs;
+    let block = SampleBox::new(&local, [0; 3], [LEAF; 3]);
     let near = bvh.nearest(block.center, f32::INFINITY).unwrap().slot;
     let (mut stack, mut packs) = (vec![(0, u8::MAX)], Vec::new());
     tile.list_packs(&block, near, usize::MAX, &mut stack, &mut packs);
@@ -180,7 +180,7 @@ fn the_check_of_a_build_sees_a_damaged_sample() {
 /// One tile of a grid, computed by `fill`.
 fn tile(bvh: &Bvh, grid: &LocalGrid, fill: impl FnOnce(&mut Tile<'_>, &mut BlockScratch)) -> [f32; TASK * TASK * TASK] {
     let samples = [f32::INFINITY; TASK * TASK * TASK];
-    let mut tile = Tile { bvh, grid, slack: SLACK, limit: f32::INFINITY, changes: None, low: [0; 3], samples };
+    let mut tile = Tile { bvh, grid, slack: SLACK, limit: f32::INFINITY, leaves: u64::MAX, low: [0; 3], samples };
     fill(&mut tile, &mut BlockScratch::default());
     tile.samples
 }
