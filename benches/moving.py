@@ -78,10 +78,12 @@ def update_table(vertices: np.ndarray, faces: np.ndarray) -> None:
     for share in (0.05, 0.2):
         for seed in (0, 1):
             positions = patch(vertices, seed, share, 0.02 * size)
-            baked, whole = seconds(
-                lambda p=positions: fb.bake(fb.Mesh(p, faces), volume.resolution, bounds=volume.bounds)
-            )
-            moved, updated = seconds(lambda p=positions: volume.update(mesh.moved(p)))
+            jobs = {
+                "bake": lambda p=positions: fb.bake(fb.Mesh(p, faces), volume.resolution, bounds=volume.bounds),
+                "update": lambda p=positions: volume.update(mesh.moved(p)),
+            }
+            bake, update = interleaved(jobs, ROUNDS).values()
+            (baked, whole), (moved, updated) = ((times.least_cpu, times.result) for times in (bake, update))
             differ = int((whole.distances.view(np.uint32) != updated.distances.view(np.uint32)).sum())
             what = f"{share:.0%} of the vertices, at place {seed + 1}"
             print(f"| {what} | {baked:.2f} | {moved:.2f} | {baked / moved:.1f} | {differ} |")
