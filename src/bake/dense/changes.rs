@@ -19,7 +19,7 @@
 
 use super::super::LocalGrid;
 use super::block::{CORNERS, Linear, SampleBox, max, not_positive, tangents_of_boxes};
-use super::{Candidates, LEAF, SLACK, TASK, blocks, leaf_of_tile, reach};
+use super::{Candidates, LEAF, SLACK, TASK, blocks, leaf_of_tile, open_large, reach};
 use crate::bvh::{Bvh, WIDTH};
 use crate::simd::with_vectors;
 
@@ -144,19 +144,10 @@ impl<'a> Block<'a> {
         while let Some((index, mask)) = stack.pop() {
             let node = &self.changes.triangles.nodes[index as usize];
             let (value, gradient) = tangents_of_boxes(node, self.bounds.center);
-            let mut keep = self.not_above(&value, &gradient, &bound) & mask;
-            let mut rest = keep;
-            while rest != 0 {
-                let lane = rest.trailing_zeros() as usize;
-                rest &= rest - 1;
-                let child = node.children[lane];
-                if !child.is_pack() && node.size(lane) > size {
-                    stack.push((child.index() as u32, u8::MAX));
-                    keep &= !(1 << lane);
-                }
-            }
-            if keep != 0 {
-                kept.push((index, keep));
+            let lanes = self.not_above(&value, &gradient, &bound) & mask;
+            let rest = open_large(node, lanes, size, stack);
+            if rest != 0 {
+                kept.push((index, rest));
             }
         }
     }

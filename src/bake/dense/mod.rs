@@ -333,19 +333,10 @@ impl Tile<'_> {
         let size = 2.0 * block.half.max_element();
         while let Some((index, mask)) = stack.pop() {
             let node = &self.bvh.nodes[index as usize];
-            let mut rest = self.survivors(node, block, &bounds) & mask;
-            let mut keep = rest;
-            while rest != 0 {
-                let lane = rest.trailing_zeros() as usize;
-                rest &= rest - 1;
-                let child = node.children[lane];
-                if !child.is_pack() && node.size(lane) > size {
-                    stack.push((child.index() as u32, u8::MAX));
-                    keep &= !(1 << lane);
-                }
-            }
-            if keep != 0 {
-                kept.push((index, keep));
+            let lanes = self.survivors(node, block, &bounds) & mask;
+            let rest = open_large(node, lanes, size, stack);
+            if rest != 0 {
+                kept.push((index, rest));
             }
         }
     }
@@ -526,6 +517,22 @@ impl Tile<'_> {
 /// packs each, one for each sample, cost less.
 fn most_packs(samples: usize, searched: u32) -> usize {
     samples * (SEARCH_COST + SEARCHED_PACK_COST * searched) as usize / LISTED_PACK_COST as usize
+}
+
+/// Pushes those children of a node in `lanes` that are nodes larger than `size` to `stack`. Returns the other lanes.
+#[inline(always)]
+fn open_large(node: &Node, lanes: u8, size: f32, stack: &mut Candidates) -> u8 {
+    let (mut rest, mut small) = (lanes, lanes);
+    while rest != 0 {
+        let lane = rest.trailing_zeros() as usize;
+        rest &= rest - 1;
+        let child = node.children[lane];
+        if !child.is_pack() && node.size(lane) > size {
+            stack.push((child.index() as u32, u8::MAX));
+            small &= !(1 << lane);
+        }
+    }
+    small
 }
 
 /// Index of the leaf that begins at the sample `from` in the tile that begins at `low`, x fastest.
