@@ -31,12 +31,16 @@ pub struct TriangleFrame {
     right_length: f32,
 }
 
-/// Distance of a point to a triangle, and the vector from the nearest point to it in the triangle's frame.
+/// Distance of a point to a triangle, and the vector from the nearest point to it in the triangle's frame. The height is
+/// the third component of both vectors.
 struct Offset {
     squared: f32,
     along_u: f32,
     along_v: f32,
-    along_n: f32,
+    height: f32,
+    /// The point itself in the frame.
+    x: f32,
+    y: f32,
 }
 
 impl TriangleFrame {
@@ -113,7 +117,7 @@ impl TriangleFrame {
         let (edge, edge_x, edge_y) = if left < right { (left, left_x, left_y) } else { (right, right_x, right_y) };
         let (edge, edge_x, edge_y) = if base < edge { (base, base_x, y) } else { (edge, edge_x, edge_y) };
         let (flat, along_u, along_v) = if inside { (0.0, 0.0, 0.0) } else { (edge, edge_x, edge_y) };
-        Offset { squared: height * height + flat, along_u, along_v, along_n: height }
+        Offset { squared: height * height + flat, along_u, along_v, height, x, y }
     }
 
     /// Squared distance of one point.
@@ -230,20 +234,30 @@ impl Pack {
         result
     }
 
-    /// Distance of `p` to each triangle, and its gradient: the unit vector from the nearest point to `p`, or zero where
-    /// the distance is zero.
+    /// A linear function for each triangle that is nowhere larger than the distance to it: its value at `p` and its
+    /// gradient. The gradient is the unit vector from the nearest point to `p`, or zero where the distance is zero.
+    ///
+    /// Rounding turns the gradient where two features of the triangle are almost equally near, and anywhere very close
+    /// to it. The distance lies above a plane through the nearest point only for the exact gradient. The value is
+    /// therefore that of the plane through the corner that lies farthest along the gradient g, the support of the
+    /// triangle: for each point t of it |q - t| >= g.(q - t) >= g.q - max over the corners of g.t.
     #[inline(always)]
     pub fn tangents(&self, p: Vec3) -> ([f32; WIDTH], [[f32; WIDTH]; 3]) {
         let mut value = [0.0; WIDTH];
         let mut gradient = [[0.0; WIDTH]; 3];
         for i in 0..WIDTH {
             let frame = self.frame(i);
-            let Offset { squared, along_u, along_v, along_n } = frame.offset(p.to_array());
-            value[i] = squared.sqrt();
-            let inverse = if value[i] > 0.0 { 1.0 / value[i] } else { 0.0 };
+            let Offset { squared, along_u, along_v, height, x, y } = frame.offset(p.to_array());
+            let distance = squared.sqrt();
+            let inverse = if distance > 0.0 { 1.0 / distance } else { 0.0 };
+            let [gu, gv, gn] = [along_u * inverse, along_v * inverse, height * inverse];
+            // The corners are the origin, the end of the edge along u, and the apex.
+            let (end, apex) = (gu * frame.length, frame.left_length * (gu * frame.left[0] + gv * frame.left[1]));
+            let support = if end > 0.0 { end } else { 0.0 };
+            let support = if apex > support { apex } else { support };
+            value[i] = gu * x + gv * y + gn * height - support;
             for axis in 0..3 {
-                gradient[axis][i] =
-                    (along_u * frame.u[axis] + along_v * frame.v[axis] + along_n * frame.n[axis]) * inverse;
+                gradient[axis][i] = gu * frame.u[axis] + gv * frame.v[axis] + gn * frame.n[axis];
             }
         }
         (value, gradient)
@@ -303,6 +317,28 @@ mod tests {
             let found = f64::from(pack.distances_squared(p)[0].sqrt());
             // Each axis of the frame is rounded to 6e-8, |p - a| is below 4, and three terms add up.
             prop_assert!((found - exact).abs() < 1e-6, "{found} {exact}");
+        }
+
+        /// Also where two features are almost equally near, and very close to a corner, where rounding turns the
+        /// gradient: the point lies beside an end of an edge, in the plane through it, but for `near`.
+        #[test]
+        fn no_tangent_exceeds_a_distance(
+            corners in [vector(-0.5..0.5), vector(-0.5..0.5), vector(-0.5..0.5)], away in vector(-0.5..0.5),
+            near in vector(-1.0..1.0), reach in 0.0..1.0f32, exponents in (-9.0..0.0f32, -9.0..0.0f32), step in vector(-0.1..0.1)
+        ) {
+            let exact_corners = corners.map(Vec3::as_dvec3);
+            prop_assume!(crate::geometry::triangle_cross(exact_corners).length() > 1e-6);
+            let along = (corners[1] - corners[0]).normalize();
+            let beside = reach * 10f32.powf(exponents.0) * (away - along * away.dot(along));
+            let p = corners[0] + beside + near * 10f32.powf(exponents.1);
+            let pack = Pack::new(&corners, &[[0, 1, 2]], &[0]);
+            let (value, gradient) = pack.tangents(p);
+            let g = Vec3::from_array([0, 1, 2].map(|axis| gradient[axis][0]));
+            let q = p + step;
+            let bound = f64::from(value[0]) + g.as_dvec3().dot(q.as_dvec3() - p.as_dvec3());
+            let exact = closest_point_on_triangle(q.as_dvec3(), exact_corners).point.distance(q.as_dvec3());
+            // The margin of the bake is four times as large.
+            prop_assert!(bound <= exact + 1e-6, "{bound} {exact}");
         }
     }
 }
