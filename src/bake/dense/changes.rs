@@ -56,33 +56,33 @@ impl<'a> Changes<'a> {
     /// buffers.
     pub(super) fn leaves(
         &self,
-        [of_tile, of_half]: [&mut Candidates; 2],
+        [of_tile, of_octant]: [&mut Candidates; 2],
         stack: &mut Candidates,
         grid: &LocalGrid,
         low: [usize; 3],
         high: [usize; 3],
     ) -> u64 {
         with_vectors!(
-            (changes: &Changes<'_> = self, of_tile: &mut Candidates = of_tile, of_half: &mut Candidates = of_half,
+            (changes: &Changes<'_> = self, of_tile: &mut Candidates = of_tile, of_octant: &mut Candidates = of_octant,
              stack: &mut Candidates = stack, grid: &LocalGrid = grid, low: [usize; 3] = low, high: [usize; 3] = high)
             -> u64 {
                 stack.clear();
                 stack.push((0, u8::MAX));
                 Block::new(changes, grid, low, high).cull_nodes(stack, of_tile);
                 let mut leaves = 0;
-                for half in blocks(low, high, [TASK / 2; 3]) {
+                for octant in blocks(low, high, [TASK / 2; 3]) {
                     if of_tile.is_empty() {
                         break;
                     }
                     stack.clear();
                     stack.extend_from_slice(of_tile);
-                    Block::new(changes, grid, half.0, half.1).cull_nodes(stack, of_half);
-                    for leaf in blocks(half.0, half.1, [LEAF; 3]) {
-                        if of_half.is_empty() {
+                    Block::new(changes, grid, octant.0, octant.1).cull_nodes(stack, of_octant);
+                    for leaf in blocks(octant.0, octant.1, [LEAF; 3]) {
+                        if of_octant.is_empty() {
                             break;
                         }
                         stack.clear();
-                        stack.extend_from_slice(of_half);
+                        stack.extend_from_slice(of_octant);
                         let is_reached = Block::new(changes, grid, leaf.0, leaf.1).is_reached(stack);
                         leaves |= u64::from(is_reached) << leaf_of_tile(low, leaf.0);
                     }
@@ -211,8 +211,8 @@ impl<'a> Block<'a> {
                 rise[axis] += if corner >> axis & 1 == 1 { distance } else { -distance };
             }
         }
-        // Each is the sum of four differences over the whole width of the block. A distance has slope 1; a mean is
-        // steeper only by the rounding of samples that are very close together.
+        // Each is the sum of four differences over the whole width of the block. Rounding makes it steep where samples
+        // are very close together. The margin covers the rounding of positions only for a slope of at most 1.
         for axis in 0..3 {
             let half = self.bounds.half[axis];
             rise[axis] = if half > 0.0 { (rise[axis] / (8.0 * half)).clamp(-1.0, 1.0) } else { 0.0 };

@@ -67,8 +67,8 @@ const TASK: usize = 16;
 const LEAF: usize = 4;
 /// Number of leaves along the side of a task.
 const LEAVES: usize = TASK / LEAF;
-/// The leaves of the first half of a task along each axis, one bit each.
-const LEAVES_OF_HALF: u64 = 0x33_0033;
+/// The leaves of the first octant of a task, one bit each.
+const LEAVES_OF_OCTANT: u64 = 0x33_0033;
 /// Number of samples of a group along each axis. A group is evaluated side by side.
 const GROUP: [usize; 3] = [4, 2, 2];
 const LANES: usize = GROUP[0] * GROUP[1] * GROUP[2];
@@ -139,8 +139,8 @@ fn fill_tiles(
     (0..tasks.iter().product::<usize>()).into_par_iter().try_for_each_init(BlockScratch::default, |scratch, task| {
         let low = [task % tasks[0], task / tasks[0] % tasks[1], task / (tasks[0] * tasks[1])].map(|i| i * TASK);
         let high = [0, 1, 2].map(|axis| (low[axis] + TASK).min(shape[axis]));
-        let BlockScratch { levels: [of_tile, of_half, _], stack, .. } = scratch;
-        let leaves = changes.map_or(u64::MAX, |changes| changes.leaves([of_tile, of_half], stack, grid, low, high));
+        let BlockScratch { levels: [of_tile, of_octant, _], stack, .. } = scratch;
+        let leaves = changes.map_or(u64::MAX, |changes| changes.leaves([of_tile, of_octant], stack, grid, low, high));
         if leaves != 0 {
             let mut tile = Tile { bvh, grid, slack, limit, leaves, low, samples: [empty; TASK * TASK * TASK] };
             tile.fill(scratch, low, high);
@@ -185,7 +185,7 @@ impl SharedRows {
     }
 }
 
-/// Nodes that may contain a nearest triangle of a block: an index and the mask of the remaining lanes.
+/// Nodes that passed the culling test of a block: an index and the mask of the remaining lanes.
 type Candidates = Vec<(u32, u8)>;
 
 /// Buffers that tasks of one thread reuse.
@@ -267,7 +267,7 @@ impl Tile<'_> {
         self.cull_nodes(&block, first, stack, root);
 
         for sub in blocks(low, high, [TASK / 2; 3]) {
-            if self.leaves >> leaf_of_tile(low, sub.0) & LEAVES_OF_HALF == 0 {
+            if self.leaves >> leaf_of_tile(low, sub.0) & LEAVES_OF_OCTANT == 0 {
                 continue;
             }
             let block = SampleBox::new(self.grid, sub.0, sub.1);
