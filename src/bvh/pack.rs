@@ -31,8 +31,8 @@ pub struct TriangleFrame {
     right_length: f32,
 }
 
-/// Distance of a point to a triangle, and the vector from the nearest point to it in the triangle's frame. The height is
-/// the third component of both vectors.
+/// Distance of a point to a triangle, and the vector from the nearest point to it in the triangle's frame. The height
+/// is the third component of both vectors.
 struct Offset {
     squared: f32,
     along_u: f32,
