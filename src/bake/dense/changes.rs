@@ -52,44 +52,51 @@ impl<'a> Changes<'a> {
         Self { triangles, samples, inverse_scale: scale.recip() as f32, half_thickness, slack }
     }
 
-    /// The blocks of [`LEAF`]^3 samples of a tile that a change may reach, one bit each, x fastest. The vectors are
-    /// buffers.
+    /// The blocks of [`LEAF`]^3 samples of a tile that a change may reach, one bit each, x fastest.
     pub(super) fn leaves(
         &self,
-        [of_tile, of_octant]: [&mut Candidates; 2],
-        stack: &mut Candidates,
+        buffers: [&mut Candidates; 3],
         grid: &LocalGrid,
         low: [usize; 3],
         high: [usize; 3],
     ) -> u64 {
         with_vectors!(
-            (changes: &Changes<'_> = self, of_tile: &mut Candidates = of_tile, of_octant: &mut Candidates = of_octant,
-             stack: &mut Candidates = stack, grid: &LocalGrid = grid, low: [usize; 3] = low, high: [usize; 3] = high)
-            -> u64 {
-                stack.clear();
-                stack.push((0, u8::MAX));
-                Block::new(changes, grid, low, high).cull_nodes(stack, of_tile);
-                let mut leaves = 0;
-                for octant in blocks(low, high, [TASK / 2; 3]) {
-                    if of_tile.is_empty() {
-                        break;
-                    }
-                    stack.clear();
-                    stack.extend_from_slice(of_tile);
-                    Block::new(changes, grid, octant.0, octant.1).cull_nodes(stack, of_octant);
-                    for leaf in blocks(octant.0, octant.1, [LEAF; 3]) {
-                        if of_octant.is_empty() {
-                            break;
-                        }
-                        stack.clear();
-                        stack.extend_from_slice(of_octant);
-                        let is_reached = Block::new(changes, grid, leaf.0, leaf.1).is_reached(stack);
-                        leaves |= u64::from(is_reached) << leaf_of_tile(low, leaf.0);
-                    }
-                }
-                leaves
-            }
+            (changes: &Changes<'_> = self, buffers: [&mut Candidates; 3] = buffers, grid: &LocalGrid = grid,
+             low: [usize; 3] = low, high: [usize; 3] = high)
+            -> u64 { changes.leaves_portable(buffers, grid, low, high) }
         )
+    }
+
+    #[inline(always)]
+    fn leaves_portable(
+        &self,
+        [of_tile, of_octant, stack]: [&mut Candidates; 3],
+        grid: &LocalGrid,
+        low: [usize; 3],
+        high: [usize; 3],
+    ) -> u64 {
+        stack.clear();
+        stack.push((0, u8::MAX));
+        Block::new(self, grid, low, high).cull_nodes(stack, of_tile);
+        if of_tile.is_empty() {
+            return 0;
+        }
+        let mut leaves = 0;
+        for octant in blocks(low, high, [TASK / 2; 3]) {
+            stack.clear();
+            stack.extend_from_slice(of_tile);
+            Block::new(self, grid, octant.0, octant.1).cull_nodes(stack, of_octant);
+            if of_octant.is_empty() {
+                continue;
+            }
+            for leaf in blocks(octant.0, octant.1, [LEAF; 3]) {
+                stack.clear();
+                stack.extend_from_slice(of_octant);
+                let is_reached = Block::new(self, grid, leaf.0, leaf.1).is_reached(stack);
+                leaves |= u64::from(is_reached) << leaf_of_tile(low, leaf.0);
+            }
+        }
+        leaves
     }
 
     /// The distance of a stored sample, local units.

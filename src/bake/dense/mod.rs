@@ -29,7 +29,8 @@
 //!
 //! All arithmetic is float32 in local coordinates. A tangent and a distance each have an error below [`SLACK`] of the
 //! largest coordinate (see `bvh::pack`: a few 1e-7), so a set is dropped only if the test holds by that margin. The
-//! stored value is the float32 distance of the nearest triangle, accurate to about 3e-7 of the mesh's longest side.
+//! tangent of a triangle bounds its distance for any rounding of the gradient (see `Pack::tangents`). The stored value
+//! is the float32 distance of the nearest triangle, accurate to about 3e-7 of the mesh's longest side.
 //!
 //! # Cost
 //!
@@ -131,7 +132,7 @@ fn fill_tiles(
 ) -> Result<(), Error> {
     let shape = grid.shape();
     let tasks = shape.map(|n| n.div_ceil(TASK));
-    let rows = SharedRows { samples: out.as_mut_ptr(), shape };
+    let rows = SharedRows { samples: out.as_mut_ptr(), grid };
     let reach = reach(grid);
     let bvh = mesh.distance_bvh(reach);
     let slack = SLACK * (reach as f32).max(1.0);
@@ -140,7 +141,7 @@ fn fill_tiles(
         let low = [task % tasks[0], task / tasks[0] % tasks[1], task / (tasks[0] * tasks[1])].map(|i| i * TASK);
         let high = [0, 1, 2].map(|axis| (low[axis] + TASK).min(shape[axis]));
         let BlockScratch { levels: [of_tile, of_octant, _], stack, .. } = scratch;
-        let leaves = changes.map_or(u64::MAX, |changes| changes.leaves([of_tile, of_octant], stack, grid, low, high));
+        let leaves = changes.map_or(u64::MAX, |changes| changes.leaves([of_tile, of_octant, stack], grid, low, high));
         if leaves != 0 {
             let mut tile = Tile { bvh, grid, slack, limit, leaves, low, samples: [empty; TASK * TASK * TASK] };
             tile.fill(scratch, low, high);
@@ -157,15 +158,15 @@ pub(super) fn reach(grid: &LocalGrid) -> f64 {
 }
 
 /// The output, written by several tasks at once.
-struct SharedRows {
+struct SharedRows<'a> {
     samples: *mut f32,
-    shape: [usize; 3],
+    grid: &'a LocalGrid,
 }
 
 // SAFETY: the pointer is only written through `write`, whose callers own disjoint boxes.
-unsafe impl Sync for SharedRows {}
+unsafe impl Sync for SharedRows<'_> {}
 
-impl SharedRows {
+impl SharedRows<'_> {
     /// Passes the samples at the position of a tile, and those of the tile, to `put`.
     ///
     /// # Safety
@@ -173,7 +174,7 @@ impl SharedRows {
     unsafe fn write(&self, low: [usize; 3], high: [usize; 3], tile: &[f32], put: &impl Fn(&mut f32, f32)) {
         for z in low[2]..high[2] {
             for y in low[1]..high[1] {
-                let offset = low[0] + self.shape[0] * (y + self.shape[1] * z);
+                let offset = self.grid.index([low[0], y, z]);
                 let row = &tile[TASK * ((y - low[1]) + TASK * (z - low[2]))..][..high[0] - low[0]];
                 // SAFETY: by the contract above, the row lies in the output and no other thread writes to it.
                 let target = unsafe { std::slice::from_raw_parts_mut(self.samples.add(offset), row.len()) };
@@ -395,7 +396,8 @@ impl Tile<'_> {
         near
     }
 
-    /// The triangles that pass the culling test of a block, nearest first. Returns the one nearest to the centre.
+    /// The triangles that pass the culling test of a block, nearest first. Returns the one with the least tangent at
+    /// the centre, which is the nearest one but for rounding.
     #[inline(always)]
     fn list_triangles(
         &self,
