@@ -40,7 +40,7 @@ pub use thickness::thickness;
 use crate::bvh::closest::ClosestPoint;
 use crate::error::{ArgumentError, Error};
 use crate::gpu::{self, Place};
-use crate::memory::{prefetch, with_room, zeroed_result};
+use crate::memory::{prefetch, space_for, zeroed_rows};
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::sign::{SideWalk, SignChoice, SignMethod, SignRule};
@@ -49,12 +49,15 @@ use rayon::prelude::*;
 use std::mem::MaybeUninit;
 use std::ops::Deref;
 
-/// Number of points between two checks of the progress: a few milliseconds of work.
+/// Number of points of a task.
 const CHUNK: usize = 1024;
 /// Number of rows from a prefetch to its use.
 const AHEAD: usize = 8;
 /// Largest number of points that are processed in their own order, by the calling thread.
 const FEW: usize = 64;
+/// Largest number of keys that are sorted without a check of the progress, and the number of parts of a longer list.
+const SORTED_AT_ONCE: usize = 1 << 21;
+const SORTED_PARTS: usize = 256;
 /// Number of bits of the Morton code for each axis.
 const MORTON_BITS: u32 = 21;
 /// Fewest points or rays that `device="auto"` sends to a device. The CPU searches fewer in a few milliseconds, in which
@@ -82,7 +85,7 @@ pub fn signed_distances(
         let unsigned = closest.distance * mesh.scale();
         (if inside && unsigned > 0.0 { -unsigned } else { unsigned }) as f32
     })?;
-    Ok(answers.into_rows())
+    answers.into_rows(progress)
 }
 
 /// Replaces "auto" by "cpu" if `rows` points or rays are too few for a device. Other names are returned unchanged, and
@@ -106,35 +109,41 @@ impl<T: Copy + Sync> Answers<T> {
     /// Passes every result to `write` with its part of the columns and its index in that part. `columns` are the parts
     /// of the output, one for each [`CHUNK`] of rows. Reading the results out of order touches less memory than writing
     /// several arrays out of order.
-    fn write_rows<C: Send>(&self, columns: impl Iterator<Item = C>, write: impl Fn(&mut C, usize, &T) + Sync) {
-        let mut places = vec![0u32; self.order.len()];
+    fn write_rows<C: Send>(
+        &self,
+        progress: &Progress,
+        columns: impl Iterator<Item = C>,
+        write: impl Fn(&mut C, usize, &T) + Sync,
+    ) -> Result<(), Error> {
+        let mut places: Vec<u32> = zeroed_rows("rows", self.order.len())?;
         for (place, &row) in self.order.iter().enumerate() {
             places[row as usize] = place as u32;
         }
         let result = |place: u32| &self.results[place as usize];
-        let write_part = |(places, mut column): (&[u32], C)| {
+        let write_part = |(places, mut column): (&[u32], C)| -> Result<(), Error> {
             for (i, &place) in places.iter().enumerate() {
                 if let Some(&later) = places.get(i + AHEAD) {
                     prefetch(result(later));
                 }
                 write(&mut column, i, result(place));
             }
+            progress.check()
         };
         let parts: Vec<_> = places.chunks(CHUNK).zip(columns).collect();
         if parts.len() <= 1 {
             // A few rows are written without the worker threads.
-            return parts.into_iter().for_each(write_part);
+            return parts.into_iter().try_for_each(write_part);
         }
-        parts.into_par_iter().for_each(write_part);
+        parts.into_par_iter().try_for_each(write_part)
     }
 }
 
 impl<T: Copy + Sync + Send + bytemuck::Zeroable> Answers<T> {
     /// The results in the order of the points.
-    fn into_rows(self) -> Vec<T> {
-        let mut rows = zeroed_result(self.order.len());
-        self.write_rows(rows.chunks_mut(CHUNK), |column, i, &result| column[i] = result);
-        rows
+    fn into_rows(self, progress: &Progress) -> Result<Vec<T>, Error> {
+        let mut rows = zeroed_rows("results", self.order.len())?;
+        self.write_rows(progress, rows.chunks_mut(CHUNK), |column, i, &result| column[i] = result)?;
+        Ok(rows)
     }
 }
 
@@ -236,11 +245,13 @@ fn answer_in_order<T: Copy + Send>(
             }
             let p = mesh.local_from_world(DVec3::from_array(points[row as usize]));
             result.write(answer(&mut walk, p, row));
+            // A point takes from a tenth of a microsecond to many milliseconds.
+            progress.check()?;
         }
         progress.advance(rows.len() as u64)
     };
-    let order = curve(points);
-    let mut results = with_room(order.len());
+    let order = curve(points, progress)?;
+    let mut results = space_for("results", order.len())?;
     let room = &mut results.spare_capacity_mut()[..order.len()];
     if order.len() <= CHUNK {
         answer_chunk((&order, room))?;
@@ -253,14 +264,14 @@ fn answer_in_order<T: Copy + Send>(
 }
 
 /// Rows in order of the Morton code, or in their own order if there are too few.
-fn curve(points: &[[f64; 3]]) -> Vec<u32> {
+fn curve(points: &[[f64; 3]], progress: &Progress) -> Result<Vec<u32>, Error> {
     if points.len() <= FEW {
-        return (0..points.len() as u32).collect();
+        return Ok((0..points.len() as u32).collect());
     }
     let (lower, upper) = points
-        .iter()
-        .map(|&p| DVec3::from_array(p))
-        .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(lower, upper), p| (lower.min(p), upper.max(p)));
+        .par_iter()
+        .map(|&p| (DVec3::from_array(p), DVec3::from_array(p)))
+        .reduce(|| (DVec3::INFINITY, DVec3::NEG_INFINITY), |a, b| (a.0.min(b.0), a.1.max(b.1)));
     // A key is the code of a point above its row: half the memory of a pair. At most 32 bits of a row leave 10 bits of
     // the code for each axis.
     let row_bits = points.len().ilog2() + 1;
@@ -274,9 +285,59 @@ fn curve(points: &[[f64; 3]]) -> Vec<u32> {
         let code = spread(cell.x as u64) | spread(cell.y as u64) << 1 | spread(cell.z as u64) << 2;
         code << row_bits | row as u64
     };
-    let mut keys: Vec<u64> = points.par_iter().enumerate().map(key).collect();
-    keys.par_sort_unstable();
-    keys.into_par_iter().map(|key| (key & ((1 << row_bits) - 1)) as u32).collect()
+    let mut keys: Vec<u64> = space_for("points", points.len())?;
+    points.par_iter().enumerate().map(key).collect_into_vec(&mut keys);
+    let keys = sorted(keys, progress)?;
+    let mut rows = space_for("rows", keys.len())?;
+    keys.into_par_iter().map(|key| (key & ((1 << row_bits) - 1)) as u32).collect_into_vec(&mut rows);
+    Ok(rows)
+}
+
+/// Sorts keys that differ from each other. A long list is divided into parts by some of its keys, and each part is
+/// sorted on its own, so that the work can be cancelled.
+fn sorted(mut keys: Vec<u64>, progress: &Progress) -> Result<Vec<u64>, Error> {
+    if keys.len() <= SORTED_AT_ONCE {
+        keys.par_sort_unstable();
+        return Ok(keys);
+    }
+    // Keys at equal steps of the list, many for each part, divide it into parts of similar length.
+    let mut sample: Vec<u64> = keys.iter().step_by(keys.len() / (64 * SORTED_PARTS)).copied().collect();
+    sample.sort_unstable();
+    let bounds: Vec<u64> = (1..SORTED_PARTS).map(|part| sample[part * sample.len() / SORTED_PARTS]).collect();
+    // Each chunk is ordered by the parts of its keys.
+    let part_of = |key: u64| bounds.partition_point(|&bound| bound <= key);
+    let divide = |chunk: &mut [u64]| -> Result<Vec<usize>, Error> {
+        let parts: Vec<u8> = chunk.iter().map(|&key| part_of(key) as u8).collect();
+        let mut ends = vec![0; SORTED_PARTS + 1];
+        parts.iter().for_each(|&part| ends[usize::from(part) + 1] += 1);
+        (0..SORTED_PARTS).for_each(|part| ends[part + 1] += ends[part]);
+        let (before, mut places) = (chunk.to_vec(), ends.clone());
+        for (&key, part) in before.iter().zip(parts) {
+            let place = &mut places[usize::from(part)];
+            chunk[*place] = key;
+            *place += 1;
+        }
+        progress.check().map(|()| ends)
+    };
+    let ends = keys.par_chunks_mut(1 << 16).map(divide).collect::<Result<Vec<_>, Error>>()?;
+    let mut sorted: Vec<u64> = zeroed_rows("points", keys.len())?;
+    let mut rest = &mut sorted[..];
+    let mut parts = Vec::new();
+    for part in 0..SORTED_PARTS {
+        let count = ends.iter().map(|ends| ends[part + 1] - ends[part]).sum();
+        parts.push(rest.split_off_mut(..count).unwrap_or_default());
+    }
+    parts.into_par_iter().enumerate().try_for_each(|(part, sorted)| {
+        let mut filled = 0;
+        for (chunk, ends) in keys.chunks(1 << 16).zip(&ends) {
+            let piece = &chunk[ends[part]..ends[part + 1]];
+            sorted[filled..filled + piece.len()].copy_from_slice(piece);
+            filled += piece.len();
+        }
+        sorted.sort_unstable();
+        progress.check()
+    })?;
+    Ok(sorted)
 }
 
 /// Two empty bits after each of the low 21 bits.
@@ -355,13 +416,43 @@ mod tests {
     #[test]
     fn the_curve_visits_every_point_once_and_near_ones_together() {
         let points = scattered(5000);
-        let mut rows = curve(&points);
+        let mut rows = curve(&points, &Progress::new()).unwrap();
         let at = |row: u32| DVec3::from_array(points[row as usize]);
         let along: f64 = rows.windows(2).map(|pair| at(pair[0]).distance(at(pair[1]))).sum();
         let as_given: f64 = (1..points.len() as u32).map(|row| at(row).distance(at(row - 1))).sum();
         assert!(along < 0.2 * as_given, "{along} {as_given}");
         rows.sort_unstable();
         assert!(rows.iter().enumerate().all(|(i, &row)| i as u32 == row));
+    }
+
+    /// Random keys, keys in order, and keys of which all but one share their high bits.
+    #[test]
+    fn long_lists_are_sorted_in_parts() {
+        let count = SORTED_AT_ONCE + 12_345;
+        let mut random = uniform(3);
+        let mixed = (0..count as u64).map(|row| ((random() * 1e9) as u64) << 22 | row).collect::<Vec<_>>();
+        let increasing = (0..count as u64).collect::<Vec<_>>();
+        let clustered = increasing.iter().rev().copied().chain([1 << 60]).collect::<Vec<_>>();
+        for keys in [mixed, increasing, clustered] {
+            let mut expected = keys.clone();
+            expected.sort_unstable();
+            assert!(sorted(keys, &Progress::new()).unwrap() == expected);
+        }
+    }
+
+    #[test]
+    fn a_cancelled_query_ends_within_its_chunk() {
+        let mesh = open_box(2);
+        let progress = Progress::new();
+        let points = scattered(CHUNK);
+        let count = std::sync::atomic::AtomicUsize::new(0);
+        let answers = answer_in_order(&Place::Cpu, &mesh, &points, &progress, |_, _, _| {
+            progress.cancel();
+            count.fetch_add(1, std::sync::atomic::Ordering::Relaxed)
+        });
+        assert!(matches!(answers, Err(Error::Cancelled)));
+        assert_eq!(count.into_inner(), 1);
+        assert!(matches!(sorted((0..SORTED_AT_ONCE as u64 + 1).collect(), &progress), Err(Error::Cancelled)));
     }
 
     #[test]

@@ -7,6 +7,7 @@ use super::gpu::positions;
 use super::{Bake, LocalGrid, Report};
 use crate::bvh::pack::TriangleFrame;
 use crate::error::{ArgumentError, Error};
+use crate::geometry::triangle_cross;
 use crate::gpu::Context;
 use crate::gpu::constants::bake_brute::{MAX_TRIANGLES, NORMAL, PARITY, WORKGROUPS_PER_ROW};
 use crate::gpu::constants::bvh::FAR;
@@ -17,6 +18,7 @@ use crate::memory::allocate_samples;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::sign::{SignChoice, SignMethod};
+use glam::DVec3;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -46,11 +48,16 @@ pub fn bake_brute(
     context.check_size(&what, (size_of::<BruteState>() * grid.len()) as u64)?;
 
     let local = LocalGrid::new(grid, mesh);
-    let faces = 0..mesh.faces().len() as u32;
+    // Faces without area in float32 have no normal.
+    let has_area = |face: &u32| triangle_cross(mesh.triangle(*face)) != DVec3::ZERO;
+    let faces: Vec<u32> = (0..mesh.faces().len() as u32).filter(has_area).collect();
     let triangles: Vec<Triangle> =
-        faces.clone().map(|face| TriangleFrame::new(mesh.triangle(face)).for_device(face)).collect();
-    let corners: Vec<[f32; 4]> =
-        faces.flat_map(|face| mesh.triangle(face)).map(|corner| corner.as_vec3().extend(0.0).to_array()).collect();
+        faces.iter().map(|&face| TriangleFrame::new(mesh.triangle(face)).for_device(face)).collect();
+    let corners: Vec<[f32; 4]> = faces
+        .iter()
+        .flat_map(|&face| mesh.triangle(face))
+        .map(|corner| corner.as_vec3().extend(0.0).to_array())
+        .collect();
     let nothing = BruteState { squared: FAR, nudged_squared: FAR, ..BruteState::default() };
     let state = context.upload("brute force state", &vec![nothing; grid.len()])?;
     let corners = context.upload("corners", &corners)?;

@@ -63,7 +63,7 @@ pub(super) fn bake(
 
     let start = Instant::now();
     rayon::join(|| mesh.bvh(), || mesh.topology());
-    let tree = BinaryTree::new(mesh.built_bvh(), mesh.positions(), mesh.faces());
+    let tree = BinaryTree::new(mesh.distance_bvh(f64::INFINITY), mesh.positions(), mesh.faces());
     progress.check()?;
     stage("tree and topology", start);
 

@@ -12,6 +12,8 @@ pub struct Report {
     pub sign_method: &'static str,
     /// Reason for the choice of the method.
     pub sign_reason: String,
+    /// Number of faces with an area.
+    pub faces: usize,
     /// Number of edges with one face.
     pub boundary_edges: usize,
     /// Number of edges with more than two faces.
@@ -52,11 +54,12 @@ impl Report {
         let mut report = Self {
             sign_method: choice.method.name(),
             sign_reason: choice.reason.clone(),
+            faces: mesh.faces_with_area(),
             boundary_edges: topology.boundary_edges,
             nonmanifold_edges: topology.nonmanifold_edges,
             flipped_faces: topology.flipped_faces,
             duplicate_faces: topology.duplicate_faces,
-            degenerate_faces: mesh.degenerate_faces().len(),
+            degenerate_faces: mesh.degenerate_faces(),
             dropped_vertices: mesh.dropped_vertices(),
             components: topology.components,
             closed: topology.closed,
@@ -90,7 +93,9 @@ impl Report {
             )),
             Some(_) if inside == 0 => Some("no sample is inside: the box does not hold the sheet".into()),
             None if inside == 0 => Some(self.nothing_inside(voxel)),
-            None if self.sign_method != "unsigned" && !self.closed => Some(opening_warning(self.boundary_edges)),
+            None if self.sign_method != "unsigned" && !self.closed => {
+                Some(opening_warning(self.boundary_edges, self.nonmanifold_edges))
+            }
             _ => None,
         };
         self.warnings.extend(warning);
@@ -117,7 +122,7 @@ pub fn sign_warnings(mesh: &Mesh, method: SignMethod) -> Vec<String> {
     let topology = mesh.topology();
     let mut warnings = orientation_warnings(mesh);
     if !topology.closed {
-        warnings.push(opening_warning(topology.boundary_edges));
+        warnings.push(opening_warning(topology.boundary_edges, topology.nonmanifold_edges));
     }
     warnings
 }
@@ -140,6 +145,13 @@ fn orientation_warnings(mesh: &Mesh) -> Vec<String> {
     warnings
 }
 
-fn opening_warning(boundary_edges: usize) -> String {
-    format!("the surface is open ({boundary_edges} boundary edges): inside is where its winding number exceeds 1/2")
+/// The warning about a surface that is not closed. Without a boundary it is open where the faces at an edge do not
+/// cancel: at edges of more than two faces, or in a patch that cannot be oriented.
+fn opening_warning(boundary_edges: usize, nonmanifold_edges: usize) -> String {
+    let open = match (boundary_edges, nonmanifold_edges) {
+        (0, 0) => "it has no boundary, but its faces cannot be oriented alike".to_owned(),
+        (0, count) => format!("it has no boundary, but {count} edges of more than two faces, which do not pair up"),
+        (count, _) => format!("{count} boundary edges"),
+    };
+    format!("the surface is open ({open}): inside is where its winding number exceeds 1/2")
 }

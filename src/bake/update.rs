@@ -77,9 +77,9 @@ fn is_comparable(before: &Mesh, mesh: &Mesh, options: &BakeOptions) -> bool {
         && (options.thickness.is_some() || !by_closest)
 }
 
-/// Faces with a corner whose local position differs.
+/// Faces with a corner whose position differs.
 fn changed_faces(before: &Mesh, mesh: &Mesh) -> Vec<u32> {
-    let moved: Vec<bool> = before.positions().iter().zip(mesh.positions()).map(|(a, b)| a != b).collect();
+    let moved: Vec<bool> = before.world_positions().iter().zip(mesh.world_positions()).map(|(a, b)| a != b).collect();
     let is_changed = |face: &u32| mesh.faces()[*face as usize].iter().any(|&v| moved[v as usize]);
     (0..mesh.faces().len() as u32).filter(is_changed).collect()
 }
@@ -178,7 +178,7 @@ fn has_sides_of(before: &Mesh, mesh: &Mesh, openings: &Openings) -> bool {
 /// Corners of the changed faces that determine the sign, oriented.
 fn oriented(mesh: &Mesh, changed: &[u32]) -> Vec<[DVec3; 3]> {
     let corners = |&face: &u32| mesh.topology().oriented_face(mesh, face);
-    let position = |v: u32| mesh.positions()[v as usize].as_dvec3();
+    let position = |v: u32| mesh.exact_position(v);
     changed.iter().filter_map(corners).map(|corners| corners.map(position)).collect()
 }
 

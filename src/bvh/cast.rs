@@ -24,6 +24,12 @@ use crate::mesh::Mesh;
 use crate::mesh::topology::Orientation;
 use glam::DVec3;
 
+/// Largest distance between the points that two faces compute for one hit on their common edge, local units: the
+/// rounding of the weights (`watertight::CANCELLED`).
+const SAME_POINT: f64 = 1e-12;
+/// Ratio of the distance between two hits to the largest `t` above which they are not the same point.
+const NEAR_HITS: f64 = 1e-9;
+
 impl Mesh {
     /// The first hit of a ray that `accept` returns true for. Among equal distances the lowest face is returned.
     /// `accept` gets only hits that lie before the accepted ones.
@@ -148,31 +154,35 @@ impl Mesh {
         self.traverse_many(rays, near, AllHits { mesh: self, lists });
     }
 
-    /// Sorts the hits of a ray. Of several hits on an edge or a vertex the first one is kept.
+    /// Sorts the hits of a ray. Of several hits at one point of the edges or vertices of their faces the first one is
+    /// kept: the faces share that edge or vertex, or only slivers lie between their edges.
     fn sort_and_merge(&self, hits: &mut Vec<FaceHit>) {
         hits.sort_unstable_by(|a, b| a.t.total_cmp(&b.t).then(a.face.cmp(&b.face)));
-        if hits.iter().filter(|hit| hit.zeros != 0).count() > 1 {
-            let mut seen: Vec<[u32; 2]> = Vec::new();
-            hits.retain(|hit| {
-                let Some(shared) = self.shared_feature(hit) else { return true };
-                let is_new = !seen.contains(&shared);
-                if is_new {
-                    seen.push(shared);
-                }
-                is_new
-            });
+        let (Some(first), Some(last)) = (hits.first(), hits.last()) else { return };
+        let reach = NEAR_HITS * first.t.abs().max(last.t.abs());
+        if hits.windows(2).all(|pair| pair[1].t - pair[0].t > reach) {
+            return;
         }
+        let mut kept: Vec<DVec3> = Vec::new();
+        hits.retain(|hit| {
+            let Some(point) = self.boundary_point(hit) else { return true };
+            let is_new = kept.iter().all(|other| point.distance(*other) > SAME_POINT);
+            if is_new {
+                kept.push(point);
+            }
+            is_new
+        });
     }
 
-    /// The welded ends of the edge that contains a hit; the same vertex twice for a vertex; None inside a face.
-    fn shared_feature(&self, hit: &FaceHit) -> Option<[u32; 2]> {
-        let corners = self.faces()[hit.face as usize].map(|v| self.topology().welded[v as usize]);
-        let nonzero: Vec<u32> = (0..3).filter(|i| hit.zeros & (1 << i) == 0).map(|i| corners[i]).collect();
-        match nonzero[..] {
-            [vertex] => Some([vertex, vertex]),
-            [a, b] => Some([a.min(b), a.max(b)]),
-            _ => None,
-        }
+    /// The point of a hit on the boundary of its face, local units; None inside the face.
+    fn boundary_point(&self, hit: &FaceHit) -> Option<DVec3> {
+        let [a, b, c] = self.exact_triangle(hit.face);
+        let weights = hit.weights;
+        // A weight times the double area is the length of the opposite edge times the distance from it.
+        let area = hit.cross.length();
+        let is_on = |i: usize, edge: DVec3| weights[i] * area <= SAME_POINT * edge.length();
+        (is_on(0, c - b) || is_on(1, a - c) || is_on(2, b - a))
+            .then(|| a * weights[0] + b * weights[1] + c * weights[2])
     }
 
     /// Passes every hit that may lie before the limit to `accept`, in no particular order. `accept` returns the new

@@ -11,8 +11,8 @@
 
 use super::closest::ClosestPoint;
 use super::lanes::least_of;
-use super::{Bvh, FAR, Node, WIDTH};
-use crate::geometry::Feature;
+use super::{BOX_ROUNDING, Bvh, FAR, Node, WIDTH};
+use crate::geometry::{Feature, is_needle};
 use crate::mesh::Mesh;
 use crate::simd::with_vectors;
 use glam::DVec3;
@@ -20,8 +20,9 @@ use glam::DVec3;
 /// Number of faces kept before float64 compares them. A list of 4 kB would displace the nodes from the first-level
 /// cache.
 const KEPT: usize = 48;
-/// Float32 positions of the boxes differ from the float64 positions of the mesh by half an ulp of 1/2.
-const BOX_ROUNDING: f64 = 3.1e-8;
+/// A face whose plane float64 does not determine is the nearest one only if it is nearer than all others by more than
+/// this, local units. The width of such a needle is below 1e-10, so its neighbours are as near, and have a normal.
+const NEEDLE_PENALTY: f64 = 2e-10;
 
 /// Faces that may be the nearest, and the best face compared in float64 so far.
 struct ExactCandidates<'a> {
@@ -43,12 +44,19 @@ impl<'a> ExactCandidates<'a> {
             return;
         }
         let found = self.mesh.exact_point_on_face(face, self.p);
-        let nearer = |best: &ClosestPoint| {
-            found.distance < best.distance || (found.distance == best.distance && found.face < best.face)
-        };
-        if self.best.as_ref().is_none_or(nearer) {
+        if self.best.as_ref().is_none_or(|best| self.precedes(&found, best)) {
             self.best = Some(found);
         }
+    }
+
+    /// Whether a face precedes another one: by distance, where needles have a penalty, then by index.
+    fn precedes(&self, found: &ClosestPoint, best: &ClosestPoint) -> bool {
+        let mut difference = found.distance - best.distance;
+        if difference.abs() <= NEEDLE_PENALTY {
+            let penalty = |face: u32| if is_needle(self.mesh.exact_triangle(face)) { NEEDLE_PENALTY } else { 0.0 };
+            difference = (found.distance + penalty(found.face)) - (best.distance + penalty(best.face));
+        }
+        difference < 0.0 || (difference == 0.0 && found.face < best.face)
     }
 
     /// Whether a face shares the best point, which is a vertex, has no nearer point, and has a higher index. Convex

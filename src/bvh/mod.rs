@@ -34,8 +34,12 @@ use crate::mesh::derived::{Derived, on_own_threads};
 use glam::{Vec3, Vec4};
 use lanes::mask_within;
 use pack::Pack;
-use rustc_hash::FxHashSet;
+use rustc_hash::{FxHashMap, FxHashSet};
 use stack::Stack;
+
+/// Half an ulp of 1/2: the float32 positions in boxes differ from the float64 positions of a mesh by at most this,
+/// local units.
+pub(crate) const BOX_ROUNDING: f64 = 3.1e-8;
 
 /// Number of lanes of a node and of a pack.
 pub(crate) const WIDTH: usize = 8;
@@ -136,12 +140,14 @@ impl Mesh {
         if reach <= FAR { self.bvh() } else { self.built_bvh() }
     }
 
-    /// The tree for closest points whose largest local coordinate is `reach`. If there are many, faces that repeat an
-    /// earlier one exactly are not in it: all are equally near, so that a search would measure all of them. Among
-    /// equally near faces the lowest one is returned, which is in this tree.
+    /// The tree for closest points whose largest local coordinate is `reach`. Faces that lie on an edge of another face
+    /// are not in it. If there are many, neither are faces that repeat an earlier one exactly: all are equally near, so
+    /// that a search would measure all of them. Among equally near faces the lowest one is returned, which is in this
+    /// tree.
     pub fn distance_bvh(&self, reach: f64) -> &Bvh {
         let bvh = self.bvh_within(reach);
-        if bvh.has_equal_boxes { self.derived::<DistinctBvh>().0.as_ref().unwrap_or(bvh) } else { bvh }
+        let is_reduced = bvh.has_equal_boxes || !self.flat_faces().is_empty();
+        if is_reduced { self.derived::<DistanceBvh>().0.as_ref().unwrap_or(bvh) } else { bvh }
     }
 
     /// Whether the tree and the connectivity have been built. A query then starts at once, except the first one of a
@@ -164,15 +170,45 @@ impl Derived for BuiltBvh {
     }
 }
 
-/// The tree over the first of each set of faces with equal corners in equal order; None if all faces are different. See
-/// [`Mesh::distance_bvh`].
-struct DistinctBvh(Option<Bvh>);
+/// The tree over the faces that lie on no edge of another face, of those with equal corners in equal order the first
+/// one. None if these are all faces. See [`Mesh::distance_bvh`].
+struct DistanceBvh(Option<Bvh>);
 
-impl Derived for DistinctBvh {
+/// The faces whose corners lie on a line, and whose longest edge is an edge of a face with an area. The rest of the
+/// surface contains their points.
+fn covered_faces(mesh: &Mesh) -> FxHashSet<u32> {
+    let mut covered = FxHashSet::default();
+    if mesh.flat_faces().is_empty() {
+        return covered;
+    }
+    let welded = &mesh.topology().welded;
+    let edges = |face: u32| {
+        let corners = mesh.faces()[face as usize];
+        [0, 1, 2].map(|i| [corners[i], corners[(i + 1) % 3]].map(|v| welded[v as usize]))
+    };
+    let key = |[a, b]: [u32; 2]| [a.min(b), a.max(b)];
+    let mut flat_by_edge: FxHashMap<[u32; 2], Vec<u32>> = FxHashMap::default();
+    for &face in mesh.flat_faces() {
+        let length = |[a, b]: &[u32; 2]| mesh.exact_position(*a).distance_squared(mesh.exact_position(*b));
+        if let Some(longest) = edges(face).into_iter().max_by(|a, b| length(a).total_cmp(&length(b))) {
+            flat_by_edge.entry(key(longest)).or_default().push(face);
+        }
+    }
+    let has_area = |face: &u32| mesh.flat_faces().binary_search(face).is_err();
+    for face in (0..mesh.faces().len() as u32).filter(has_area) {
+        for edge in edges(face) {
+            covered.extend(flat_by_edge.get(&key(edge)).into_iter().flatten());
+        }
+    }
+    covered
+}
+
+impl Derived for DistanceBvh {
     fn derive(mesh: &Mesh) -> Self {
         let mut seen = FxHashSet::default();
         let position = |v: u32| mesh.world_positions()[v as usize].map(f64::to_bits);
-        let is_first = |&face: &u32| seen.insert(mesh.faces()[face as usize].map(position));
+        let covered = covered_faces(mesh);
+        let is_first = |&face: &u32| !covered.contains(&face) && seen.insert(mesh.faces()[face as usize].map(position));
         let members: Vec<u32> = (0..mesh.faces().len() as u32).filter(is_first).collect();
         let is_smaller = members.len() < mesh.faces().len();
         Self(is_smaller.then(|| on_own_threads(|| build::build_of(mesh.positions(), mesh.faces(), &members))))

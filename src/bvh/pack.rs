@@ -14,6 +14,10 @@ use crate::gpu::layout::Triangle;
 use crate::simd::with_vectors;
 use glam::{DVec2, DVec3, Vec3};
 
+/// Ratio of height to length below which a triangle is a line segment. Corners are rounded to float32, and the height
+/// to float64, so a smaller one consists of rounding.
+const FLAT: f64 = 1e-12;
+
 /// One triangle in its own frame.
 #[derive(Debug, Clone, Copy, Default)]
 #[repr(C)]
@@ -63,29 +67,41 @@ impl TriangleFrame {
             |[a, b, c]: [DVec3; 3]| DVec3::new(choice(a.x, b.x, c.x), choice(a.y, b.y, c.y), choice(a.z, b.z, c.z));
         let (a, b, c) = (corner([a, b, c]), corner([b, c, a]), corner([c, a, b]));
 
-        let u = (b - a).normalize();
+        let select_unit = |v: DVec3, other: DVec3| {
+            let scale = v.length_recip();
+            let is_unit = (scale > 0.0) & (scale < f64::INFINITY);
+            let select = |x: f64, other: f64| if is_unit { x * scale } else { other };
+            DVec3::new(select(v.x, other.x), select(v.y, other.y), select(v.z, other.z))
+        };
+        // Any direction suits a triangle whose corners coincide in float32.
+        let u = select_unit(b - a, DVec3::X);
         // Perpendicular to u. The cross product of a sliver may consist of rounding only; any plane through the edge is
         // then valid.
         let cross = u.cross(c - a);
         let across = cross - u * cross.dot(u);
-        let (scale, any) = (across.length_recip(), u.any_orthonormal_vector());
-        let has_normal = (scale > 0.0) & (scale < f64::INFINITY);
-        let select = |x: f64, any: f64| if has_normal { x * scale } else { any };
-        let n = DVec3::new(select(across.x, any.x), select(across.y, any.y), select(across.z, any.z));
+        let n = select_unit(across, u.any_orthonormal_vector());
         let v = n.cross(u);
         let length = (b - a).length();
         let apex = DVec2::new((c - a).dot(u), (c - a).dot(v));
         let from_end = apex - DVec2::new(length, 0.0);
+        // A triangle without height is the edge along u. Its other edges become points at the ends of that edge, and
+        // the half-planes to their sides exclude each other: x <= 0 and x >= length > 0.
+        let is_flat = (apex.y <= FLAT * length) | (length == 0.0);
+        let edge = |v: DVec2| {
+            let unit = v.normalize().as_vec2().to_array();
+            if is_flat { ([0.0, -1.0], 0.0) } else { (unit, v.length() as f32) }
+        };
+        let ((left, left_length), (right, right_length)) = (edge(apex), edge(from_end));
         Self {
             a: a.as_vec3().to_array(),
             u: u.as_vec3().to_array(),
             v: v.as_vec3().to_array(),
             n: n.as_vec3().to_array(),
-            length: length as f32,
-            left: apex.normalize().as_vec2().to_array(),
-            left_length: apex.length() as f32,
-            right: from_end.normalize().as_vec2().to_array(),
-            right_length: from_end.length() as f32,
+            length: (length as f32).max(f32::MIN_POSITIVE),
+            left,
+            left_length,
+            right,
+            right_length,
         }
     }
 
@@ -311,11 +327,29 @@ mod tests {
             let c = a + (b - a) * 0.3 + (c - a) * thin;
             let positions = [a, b, c];
             let corners = positions.map(Vec3::as_dvec3);
-            prop_assume!(crate::geometry::triangle_cross(corners) != DVec3::ZERO);
             let pack = Pack::new(&positions, &[[0, 1, 2]], &[0]);
             let exact = closest_point_on_triangle(p.as_dvec3(), corners).point.distance(p.as_dvec3());
             let found = f64::from(pack.distances_squared(p)[0].sqrt());
             // Each axis of the frame is rounded to 6e-8, |p - a| is below 4, and three terms add up.
+            prop_assert!((found - exact).abs() < 1e-6, "{found} {exact}");
+        }
+
+        /// Corners on a line and coincident corners, seen from points on that line and beside it.
+        #[test]
+        fn triangles_without_area_are_segments(
+            a in vector(-0.5..0.5), along in vector(-0.5..0.5), from in 0..4i8, to in 0..4i8, middle in 0..4i8,
+            axis in 0..4usize, place in -6..6i8, aside in prop::sample::select(vec![0.0f32, 0.25])
+        ) {
+            // Multiples of a power of two are exact, so that corners on a line remain on it in float32.
+            let round = |v: Vec3| (v * 64.0).round() / 64.0;
+            let along = if axis < 3 { Vec3::AXES[axis] * 0.125 } else { round(along) };
+            let at = |step: i8| round(a) + along * f32::from(step);
+            let positions = [at(from), at(middle), at(to)];
+            let corners = positions.map(Vec3::as_dvec3);
+            let p = at(place) + Vec3::new(aside, aside, 0.0);
+            let pack = Pack::new(&positions, &[[0, 1, 2]], &[0]);
+            let exact = closest_point_on_triangle(p.as_dvec3(), corners).point.distance(p.as_dvec3());
+            let found = f64::from(pack.distances_squared(p)[0].sqrt());
             prop_assert!((found - exact).abs() < 1e-6, "{found} {exact}");
         }
 

@@ -7,6 +7,10 @@
 //! it is zero the exact predicate of Shewchuk (crate `robust`) decides. The projected surface is therefore continuous
 //! with exact answers: no ray passes between faces, and a hit lies on an edge or a vertex if and only if the
 //! corresponding functions are zero.
+//!
+//! The weights of a hit are the edge functions divided by their sum. Where the triangle is a sliver as seen along the
+//! ray, the functions are smaller than the rounding of their products, and are computed to two units in the last place
+//! then: the hit point lies on a triangle of any width, to the rounding of its corners.
 
 use crate::geometry::triangle_cross;
 pub(crate) use crate::gpu::constants::cast_rays::BOX_MARGIN;
@@ -220,17 +224,25 @@ impl Sheared {
         let a = self.corner(corners[0]);
         let b = self.corner(corners[1]);
         let c = self.corner(corners[2]);
-        let edges = [edge_function(c, b), edge_function(a, c), edge_function(b, a)];
+        let mut edges = [edge_function(c, b), edge_function(a, c), edge_function(b, a)];
         let (mut positive, mut negative, mut zeros) = (false, false, 0u8);
         for (i, &edge) in edges.iter().enumerate() {
             positive |= edge > 0.0;
             negative |= edge < 0.0;
             zeros |= u8::from(edge == 0.0) << i;
         }
-        let sum = edges[0] + edges[1] + edges[2];
-        // A triangle parallel to the ray has no inside. Its neighbours are hit at the common edges.
-        if (positive && negative) || sum == 0.0 {
+        if positive && negative {
             return None;
+        }
+        let mut sum = edges[0] + edges[1] + edges[2];
+        let magnitude = size_of_products(c, b) + size_of_products(a, c) + size_of_products(b, a);
+        if sum.abs() <= CANCELLED * magnitude {
+            edges = [accurate_edge_function(c, b), accurate_edge_function(a, c), accurate_edge_function(b, a)];
+            sum = edges[0] + edges[1] + edges[2];
+            // A triangle parallel to the ray has no inside. Its neighbours are hit at the common edges.
+            if sum == 0.0 {
+                return None;
+            }
         }
         let weights = [edges[0] / sum, edges[1] / sum, edges[2] / sum];
         let t = self.shear[2] * (weights[0] * a[2] + weights[1] * b[2] + weights[2] * c[2]);
@@ -257,4 +269,24 @@ fn edge_function(p: [f64; 3], q: [f64; 3]) -> f64 {
 fn exact_edge_function(p: [f64; 3], q: [f64; 3]) -> f64 {
     let at = |p: [f64; 3]| Coord { x: p[0], y: p[1] };
     orient2d(at(p), at(q), Coord { x: 0.0, y: 0.0 })
+}
+
+/// Ratio of the sum of the edge functions to their products below which the functions are computed accurately. Above
+/// it, the weights are rounded by at most 1e-12.
+const CANCELLED: f64 = 1e-3;
+
+/// Sum of the magnitudes of the products of an edge function.
+#[inline(always)]
+fn size_of_products(p: [f64; 3], q: [f64; 3]) -> f64 {
+    (p[0] * q[1]).abs() + (p[1] * q[0]).abs()
+}
+
+/// The edge function to two units in the last place, unless it underflows: Kahan's difference of products, of which
+/// Jeannerod, Louvet and Muller prove the bound (*Further analysis of Kahan's algorithm for the accurate computation of
+/// 2 x 2 determinants*, 2013).
+#[cold]
+fn accurate_edge_function(p: [f64; 3], q: [f64; 3]) -> f64 {
+    let product = p[1] * q[0];
+    let rounding = (-p[1]).mul_add(q[0], product);
+    p[0].mul_add(q[1], -product) + rounding
 }

@@ -5,3 +5,4 @@ mod triangle;
 
 pub use aabb::Aabb;
 pub use triangle::{Feature, SolidAngles, TrianglePoint, closest_point_on_triangle, solid_angle, triangle_cross};
+pub(crate) use triangle::{is_needle, is_on_a_line};

@@ -4,6 +4,7 @@
 //! that a stored distance is rounded to float32 only once and the closest *feature* (face, edge or vertex) is known.
 
 use glam::DVec3;
+use robust::{Coord, orient2d};
 use std::f64::consts::TAU;
 
 /// The feature of a triangle that contains its closest point. Edge `i` joins corner `i` and corner `(i + 1) % 3`.
@@ -112,14 +113,49 @@ const SLIVER: f64 = 1e-6;
 fn closest_point_on_sliver(p: DVec3, corners: [DVec3; 3]) -> TrianglePoint {
     let [a, b, c] = corners;
     let normal = (b - a).cross(c - a);
-    let resolved = normal.length_squared() > NEEDLE * (b - a).length_squared() * (c - a).length_squared();
     let inside = |u: DVec3, v: DVec3| (v - u).cross(p - u).dot(normal) >= 0.0;
-    if resolved && inside(a, b) && inside(b, c) && inside(c, a) {
-        let point = p - normal * (normal.dot(p - a) / normal.length_squared());
-        let area = |u: DVec3, v: DVec3| (u - point).cross(v - point).dot(normal);
-        return TrianglePoint::in_face(point, [area(b, c), area(c, a), area(a, b)]);
+    if is_needle(corners) || !inside(a, b) || !inside(b, c) || !inside(c, a) {
+        return closest_point_on_edges(p, corners);
     }
-    closest_point_on_edges(p, corners)
+    // The areas of the three parts cancel. The weight of the corner opposite of the longest edge is rounded by much
+    // too, but then moves the point across the sliver only; the position along the longest edge fixes the other two.
+    let length = |i: usize| corners[i].distance_squared(corners[(i + 1) % 3]);
+    let longest = if length(1) > length(0) { 1 } else { 0 };
+    let i = if length(2) > length(longest) { 2 } else { longest };
+    let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+    let edge = corners[j] - corners[i];
+    let along = |q: DVec3| (q - corners[i]).dot(edge) / edge.length_squared();
+    let apex = (edge.cross(p - corners[i]).dot(normal) / normal.length_squared()).clamp(0.0, 1.0);
+    let far = (along(p) - apex * along(corners[k])).clamp(0.0, 1.0 - apex);
+    let mut weights = [0.0; 3];
+    (weights[i], weights[j], weights[k]) = (1.0 - apex - far, far, apex);
+    let point = corners[i] + edge * far + (corners[k] - corners[i]) * apex;
+    TrianglePoint { point, feature: Feature::Face, weights }
+}
+
+/// Whether float64 does not determine the plane of a triangle: its sine is below [`NEEDLE`], or its corners lie on a
+/// line or coincide.
+pub(crate) fn is_needle([a, b, c]: [DVec3; 3]) -> bool {
+    let (ab, ac, bc) = (b - a, c - a, c - b);
+    // The two longest edges enclose the smallest angle.
+    let [x, y, z] = [ab.length_squared(), ac.length_squared(), bc.length_squared()];
+    let longest_two = (x * y).max(y * z).max(z * x);
+    ab.cross(ac).length_squared() <= NEEDLE * longest_two
+}
+
+/// Whether three positions lie on one line, exactly.
+pub(crate) fn is_on_a_line([a, b, c]: [DVec3; 3]) -> bool {
+    // Each product of the cross product is rounded by less than 4 units in the last place.
+    let (ab, ac) = (b - a, c - a);
+    let rounding = 8.0 * f64::EPSILON * ab.abs().max_element() * ac.abs().max_element();
+    if ab.cross(ac).abs().max_element() > rounding {
+        return false;
+    }
+    let is_flat = |[x, y]: [usize; 2]| {
+        let at = |p: DVec3| Coord { x: p[x], y: p[y] };
+        orient2d(at(a), at(b), at(c)) == 0.0
+    };
+    [[0, 1], [1, 2], [2, 0]].into_iter().all(is_flat)
 }
 
 fn closest_point_on_edges(p: DVec3, corners: [DVec3; 3]) -> TrianglePoint {
@@ -127,12 +163,13 @@ fn closest_point_on_edges(p: DVec3, corners: [DVec3; 3]) -> TrianglePoint {
         let next = (i + 1) % 3;
         let (a, b) = (corners[usize::from(i)], corners[usize::from(next)]);
         let t = (p - a).dot(b - a) / (b - a).length_squared();
-        if t <= 0.0 {
-            TrianglePoint::at_vertex(i, a)
-        } else if t >= 1.0 {
+        if t >= 1.0 {
             TrianglePoint::at_vertex(next, b)
-        } else {
+        } else if t > 0.0 {
             TrianglePoint::on_edge(i, a + (b - a) * t, [usize::from(i), usize::from(next)], t)
+        } else {
+            // NaN is the quotient of an edge without length.
+            TrianglePoint::at_vertex(i, a)
         }
     };
     let nearer = |x: TrianglePoint, y: TrianglePoint| {
@@ -271,6 +308,49 @@ mod tests {
             let cell = (b - a).length().max((c - a).length()).max((c - b).length()) / n as f64;
             prop_assert!(nearest_lattice <= cell);
         }
+    }
+
+    /// The weights of a point of a sliver state the point, and the point is as near as one of exact weights.
+    #[test]
+    fn a_sliver_has_the_point_of_its_weights() {
+        for width in [1e-4, 1e-6, 1e-8, 1e-9] {
+            let corners = [DVec3::new(0.3, 0.1, 0.2), DVec3::new(-0.5, 0.4, 0.1), DVec3::new(-0.1, 0.25, 0.15)];
+            let across = (corners[1] - corners[0]).cross(DVec3::Y).normalize();
+            let corners = [corners[0], corners[1], corners[2] + across * width];
+            for apex in [0.1, 0.5, 0.9] {
+                let inside = corners[0] * (0.7 * (1.0 - apex)) + corners[1] * (0.3 * (1.0 - apex)) + corners[2] * apex;
+                let p = inside + triangle_cross(corners).normalize() * 0.25;
+                let found = closest_point_on_triangle(p, corners);
+                let [u, v, w] = found.weights;
+                assert!(u.min(v).min(w) >= 0.0 && (u + v + w - 1.0).abs() <= 1e-15);
+                let stated = corners[0] * u + corners[1] * v + corners[2] * w;
+                assert!(stated.distance(found.point) <= 1e-15, "{width} {stated} {}", found.point);
+                // The normal of a sliver is rounded by 1e-16 of its width, and the point lies 0.25 from it.
+                assert!(found.point.distance(inside) <= 1e-15 + 1e-16 / width, "{width} {}", found.point - inside);
+            }
+        }
+    }
+
+    /// Corners that coincide leave an edge or a vertex.
+    #[test]
+    fn triangles_without_area_are_segments() {
+        let (a, b) = (DVec3::new(0.0, 1.0, 0.0), DVec3::new(2.0, 1.0, 0.0));
+        for (corners, nearest) in [([a, b, b], 1.5), ([b, a, a], 1.5), ([a, b, a], 1.5), ([a, a, a], 0.0)] {
+            let found = closest_point_on_triangle(DVec3::new(1.5, 0.0, 1.0), corners);
+            assert_eq!(found.point, DVec3::new(nearest, 1.0, 0.0), "{corners:?}");
+        }
+    }
+
+    #[test]
+    fn corners_on_a_line_are_recognised_exactly() {
+        let third = 1.0 / 3.0;
+        let line = [DVec3::new(third, 0.1, 7.0), DVec3::new(3.0 * third, 0.3, 7.0), DVec3::new(2.0 * third, 0.2, 7.0)];
+        // 0.1, 0.2 and 0.3 are rounded, so that these corners are not on a line; with 0.125 they are.
+        assert!(!is_on_a_line(line));
+        let line =
+            [DVec3::new(third, 0.125, 7.0), DVec3::new(4.0 * third, 0.5, 7.0), DVec3::new(2.0 * third, 0.25, 7.0)];
+        assert!(is_on_a_line(line));
+        assert!(!is_on_a_line([line[0], line[1], line[2] + DVec3::new(0.0, 0.0, 1e-15)]));
     }
 
     /// A sliver of float32 corners, thinner than float64 can resolve relative to its length, is treated as its edges.

@@ -3,11 +3,6 @@
 use crate::memory::zeroed_result;
 use std::ops::Range;
 
-/// Whether two corners of a face are the same vertex.
-pub(super) fn has_repeated_corner(&[a, b, c]: &[u32; 3]) -> bool {
-    a == b || b == c || c == a
-}
-
 /// An edge of a face without its lower vertex. In order: the higher vertex, the face, and whether the face traverses
 /// the edge from the higher to the lower vertex.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, bytemuck::Zeroable)]
@@ -37,7 +32,7 @@ pub(super) struct HalfEdges {
     pub(super) items: Vec<HalfEdge>,
     /// End of the items of each lower vertex.
     ends: Vec<u32>,
-    /// Whether two faces may have the same corners, or a face a repeated one.
+    /// Whether two faces may have the same corners.
     pub(super) may_repeat: bool,
 }
 
@@ -61,12 +56,10 @@ impl HalfEdges {
         let kept = || faces.iter().zip(0..).filter(|&(_, f)| !is_skipped(f));
         // Distributes the half-edges to their lower vertices. Filling advances the start of each vertex to its end.
         let mut ends = vec![0u32; vertices + 1];
-        let mut may_repeat = false;
-        for (face @ &[a, b, c], _) in kept() {
+        for (&[a, b, c], _) in kept() {
             for low in [a.min(b), b.min(c), c.min(a)] {
                 ends[low as usize + 1] += 1;
             }
-            may_repeat |= has_repeated_corner(face);
         }
         for v in 0..vertices {
             ends[v + 1] += ends[v];
@@ -82,7 +75,7 @@ impl HalfEdges {
 
         // Faces with the same corners share edges, where they have the same third vertex.
         let third = |e: HalfEdge| faces[e.face() as usize].iter().fold(0, |all, v| all ^ v);
-        let mut start = 0;
+        let (mut start, mut may_repeat) = (0, false);
         for &end in &ends[..vertices] {
             let of_vertex = &mut items[start..end as usize];
             of_vertex.sort_unstable();

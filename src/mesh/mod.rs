@@ -9,8 +9,11 @@
 //! The origin of local coordinates is the centre of the box, rounded to multiples of [`CENTER_STEP`] times `scale`.
 //! Small motions of the vertices therefore leave the local coordinates of all other vertices unchanged, to the bit.
 //!
-//! Unused vertices that are not finite, and degenerate faces (a repeated corner, or zero area), are dropped and
-//! counted. A degenerate face still belongs to [`topology`], where it closes the surface around it.
+//! Two vertices are one if their float64 positions in the input are equal (-0 equals 0); local coordinates never decide
+//! that. A face with three different positions, of any area, is a face of the mesh: it belongs to [`topology`], to rays
+//! and to windings, so a closed surface is closed in every function. A face whose corners lie on a line is a line
+//! segment for distances. Faces with a repeated position, whose boundary is empty, and unused vertices that are not
+//! finite are dropped and counted.
 
 pub(crate) mod derived;
 mod disjoint_sets;
@@ -21,7 +24,7 @@ mod stl;
 pub(crate) mod topology;
 
 use crate::error::MeshError;
-use crate::geometry::triangle_cross;
+use crate::geometry::is_on_a_line;
 use derived::DerivedTables;
 use glam::{DVec3, Vec3};
 use std::sync::OnceLock;
@@ -39,7 +42,10 @@ pub struct Mesh {
     world: Vec<[f64; 3]>,
     positions: Vec<Vec3>,
     faces: Vec<[u32; 3]>,
-    degenerate: Vec<[u32; 3]>,
+    /// The faces whose corners lie on a line, in increasing order.
+    flat_faces: Vec<u32>,
+    /// Faces with a repeated position.
+    repeated: Vec<[u32; 3]>,
     source_vertices: Vec<u32>,
     source_faces: Vec<u32>,
     dropped_vertices: usize,
@@ -109,19 +115,24 @@ impl Mesh {
 
         let mut kept = Vec::with_capacity(faces.len());
         let mut source_faces = Vec::with_capacity(faces.len());
-        let mut degenerate = Vec::new();
+        let mut repeated = Vec::new();
+        let mut flat_faces = Vec::new();
         for (row, &face) in faces.iter().enumerate() {
-            if has_area(&positions, face) {
-                kept.push(face);
-                source_faces.push(row as u32);
-            } else {
-                degenerate.push(face);
+            let [a, b, c] = face.map(|v| world[v as usize]);
+            if a == b || b == c || c == a {
+                repeated.push(face);
+                continue;
             }
+            if is_on_a_line([a, b, c].map(DVec3::from_array)) {
+                flat_faces.push(kept.len() as u32);
+            }
+            kept.push(face);
+            source_faces.push(row as u32);
         }
-        if kept.is_empty() {
+        if kept.len() == flat_faces.len() {
             return Err(MeshError::AllDegenerate { faces: faces.len() });
         }
-        let bounds = if degenerate.is_empty() { [lower, upper] } else { bounds_of(&world, &kept) };
+        let bounds = if repeated.is_empty() { [lower, upper] } else { bounds_of(&world, &kept) };
 
         Ok(Self {
             center,
@@ -131,7 +142,8 @@ impl Mesh {
             world,
             positions,
             faces: kept,
-            degenerate,
+            flat_faces,
+            repeated,
             dropped_vertices,
             source_vertices,
             source_faces,
@@ -183,9 +195,19 @@ impl Mesh {
         &self.faces
     }
 
-    /// Faces without area. They belong to the connectivity of the surface, but not to the surface.
-    pub fn degenerate_faces(&self) -> &[[u32; 3]] {
-        &self.degenerate
+    /// Number of faces with an area.
+    pub fn faces_with_area(&self) -> usize {
+        self.faces.len() - self.flat_faces.len()
+    }
+
+    /// The faces whose corners lie on a line, in increasing order.
+    pub fn flat_faces(&self) -> &[u32] {
+        &self.flat_faces
+    }
+
+    /// Number of faces of the input without area: a repeated position, or corners on a line.
+    pub fn degenerate_faces(&self) -> usize {
+        self.flat_faces.len() + self.repeated.len()
     }
 
     /// Input row of each kept vertex.
@@ -198,16 +220,16 @@ impl Mesh {
         &self.source_faces
     }
 
-    /// Faces of the input in their order, degenerate ones included, as indices of the kept vertices.
+    /// Faces of the input in their order, dropped ones included, as indices of the kept vertices.
     pub fn input_faces(&self) -> Vec<[u32; 3]> {
-        let mut degenerate = self.degenerate.iter();
-        let mut faces = Vec::with_capacity(self.faces.len() + self.degenerate.len());
+        let mut repeated = self.repeated.iter();
+        let mut faces = Vec::with_capacity(self.faces.len() + self.repeated.len());
         for (face, &row) in self.faces.iter().zip(&self.source_faces) {
-            // Faces without area fill the rows between the kept ones.
-            faces.extend(degenerate.by_ref().take(row as usize - faces.len()));
+            // The dropped faces fill the rows between the kept ones.
+            faces.extend(repeated.by_ref().take(row as usize - faces.len()));
             faces.push(*face);
         }
-        faces.extend(degenerate);
+        faces.extend(repeated);
         faces
     }
 
@@ -222,7 +244,7 @@ impl Mesh {
             return Err(MeshError::MovedNotFinite { vertex, x, y, z });
         }
         let (source, dropped) = (self.source_vertices.clone(), self.dropped_vertices);
-        let mut mesh = if self.degenerate.is_empty() {
+        let mut mesh = if self.repeated.is_empty() {
             Self::assemble(vertices.to_vec(), source, dropped, &self.faces)?
         } else {
             Self::assemble(vertices.to_vec(), source, dropped, &self.input_faces())?
@@ -239,9 +261,9 @@ impl Mesh {
         Ok(mesh)
     }
 
-    /// Whether both meshes have the same faces, and the same of them are degenerate.
+    /// Whether both meshes have the same faces, and the same of them are dropped or flat.
     pub fn has_faces_of(&self, other: &Self) -> bool {
-        self.faces == other.faces && self.degenerate == other.degenerate
+        self.faces == other.faces && self.repeated == other.repeated && self.flat_faces == other.flat_faces
     }
 
     /// Number of vertices dropped because they were unused and not finite.
@@ -289,7 +311,8 @@ impl Mesh {
         size_of_val(&self.world[..])
             + size_of_val(&self.positions[..])
             + size_of_val(&self.faces[..])
-            + size_of_val(&self.degenerate[..])
+            + size_of_val(&self.repeated[..])
+            + size_of_val(&self.flat_faces[..])
             + size_of_val(&self.source_vertices[..])
             + size_of_val(&self.source_faces[..])
             + self.topology.get().map_or(0, Topology::bytes)
@@ -338,14 +361,6 @@ fn check_faces(vertices: &[[f64; 3]], faces: &[[i64; 3]]) -> Result<(), MeshErro
     Ok(())
 }
 
-/// Three different corners that are not collinear. Differences of float32 numbers and their products are exact in
-/// float64 unless magnitudes differ by 2^29, so a degenerate face is recognised in its stored form.
-fn has_area(positions: &[Vec3], face: [u32; 3]) -> bool {
-    let [a, b, c] = face;
-    let corner = |v: u32| positions[v as usize].as_dvec3();
-    a != b && b != c && c != a && triangle_cross([corner(a), corner(b), corner(c)]) != DVec3::ZERO
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -371,10 +386,17 @@ mod tests {
     }
 
     #[test]
-    fn degenerate_faces_are_dropped_and_kept_apart() {
+    fn faces_with_a_repeated_position_are_dropped_and_faces_on_a_line_are_kept() {
         let mesh = Mesh::new(&SQUARE, &[[0, 1, 1], [0, 1, 2]]).unwrap();
-        assert_eq!((mesh.faces().len(), mesh.degenerate_faces().len(), mesh.source_faces()), (1, 1, &[1][..]));
-        assert_eq!(Mesh::new(&SQUARE, &[[0, 1, 1]]).unwrap_err(), MeshError::AllDegenerate { faces: 1 });
+        assert_eq!((mesh.faces().len(), mesh.degenerate_faces(), mesh.source_faces()), (1, 1, &[1][..]));
+        let mut split = SQUARE.to_vec();
+        // The last vertex has the position of vertex 0, with the other zero.
+        split.extend([[0.5, 0.0, 0.0], [0.5, 1e-15, 0.0], [-0.0, 0.0, 0.0]]);
+        let mesh = Mesh::new(&split, &[[0, 4, 1], [0, 5, 1], [0, 6, 1], [0, 1, 2]]).unwrap();
+        assert_eq!((mesh.degenerate_faces(), mesh.source_faces()), (2, &[0, 1, 3][..]));
+        for face in [[0, 1, 1], [0, 4, 1], [0, 6, 1]] {
+            assert_eq!(Mesh::new(&split, &[face]).unwrap_err(), MeshError::AllDegenerate { faces: 1 });
+        }
         assert_eq!(Mesh::new(&SQUARE, &[]).unwrap_err(), MeshError::Empty { vertices: 4, faces: 0 });
     }
 

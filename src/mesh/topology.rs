@@ -1,7 +1,7 @@
 //! Connectivity of the faces of a mesh: openings, flipped and duplicate faces, and the oriented surface that determines
 //! the sign.
 //!
-//! Corners with equal positions count as one vertex (texture seams split them). Three repairs are made for the sign
+//! Corners of equal float64 positions are one vertex (texture seams split them). Three repairs are made for the sign
 //! only, never for the distance, and each is counted:
 //! - a face that repeats another one, in either direction, is ignored;
 //! - faces joined by a manifold edge (two faces) are flipped to agree; the side that covers the larger area keeps its
@@ -14,9 +14,9 @@
 
 use super::Mesh;
 use super::disjoint_sets::DisjointSets;
-use super::half_edges::{Edge, HalfEdge, HalfEdges, has_repeated_corner};
+use super::half_edges::{Edge, HalfEdge, HalfEdges};
 use crate::memory::with_room;
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use rustc_hash::{FxHashMap, FxHashSet};
 use std::borrow::Cow;
 use std::sync::OnceLock;
@@ -67,7 +67,7 @@ const MAJORITY: f64 = 0.6;
 
 impl Topology {
     pub fn of(mesh: &Mesh) -> Self {
-        let welded = weld(mesh.positions());
+        let welded = weld(mesh.world_positions());
         let faces = welded_faces(mesh, &welded);
         let mut orientation = vec![Orientation::Kept; faces.len()];
         let mut duplicate_faces = 0;
@@ -124,7 +124,6 @@ impl Topology {
         }
         let is_first = |&f: &u32| orientation[f as usize] != Orientation::Skipped && bodies.root(f).0 == f;
         let components = (0..faces.len() as u32).filter(is_first).count();
-        orientation.truncate(mesh.faces().len());
         let body = (0..orientation.len() as u32).map(|f| bodies.root(f).0).collect();
 
         Self {
@@ -147,7 +146,7 @@ impl Topology {
     /// The connectivity of `mesh`, which has the same faces at moved vertices. None if it may differ from this one:
     /// other vertices coincide, or areas decide the direction of a patch.
     pub fn follow(&self, mesh: &Mesh) -> Option<Self> {
-        let is_equal = !self.is_weighed && weld(mesh.positions()) == self.welded;
+        let is_equal = !self.is_weighed && weld(mesh.world_positions()) == self.welded;
         is_equal.then(|| Self { signed_volume: OnceLock::new(), ..self.clone() })
     }
 
@@ -201,13 +200,13 @@ pub(crate) fn direction(orientation: Orientation) -> f64 {
 }
 
 /// The lowest index of a vertex with the same position, for each vertex.
-fn weld(positions: &[Vec3]) -> Vec<u32> {
+fn weld(positions: &[[f64; 3]]) -> Vec<u32> {
     const FREE: u32 = u32::MAX;
     // A table of the first vertex at each position, at most half full. A position is found at the place of its hash, or
     // behind it.
     let size = (2 * positions.len()).next_power_of_two().max(2);
     let mut table = vec![FREE; size];
-    let first_at = |(p, v): (&Vec3, u32)| {
+    let first_at = |(p, v): (&[f64; 3], u32)| {
         let mut place = (position_hash(p) >> (u64::BITS - size.trailing_zeros())) as usize;
         loop {
             let first = table[place];
@@ -226,28 +225,27 @@ fn weld(positions: &[Vec3]) -> Vec<u32> {
 
 /// A number that equal positions share, where -0 equals 0. Its upper bits depend on all bits of the position.
 #[inline(always)]
-fn position_hash(p: &Vec3) -> u64 {
+fn position_hash(p: &[f64; 3]) -> u64 {
     /// Odd, with about as many ones as zeros: 2^64 divided by the golden ratio.
     const FACTOR: u64 = 0x9E37_79B9_7F4A_7C15;
-    let [x, y, z] = [p.x, p.y, p.z].map(|coordinate| u64::from((coordinate + 0.0).to_bits()));
-    let first = (x | y << 32).wrapping_mul(FACTOR);
-    (first ^ first >> 32).wrapping_add(z).wrapping_mul(FACTOR)
+    let mixed = |hash: u64, coordinate: f64| {
+        let hash = (hash ^ (coordinate + 0.0).to_bits()).wrapping_mul(FACTOR);
+        hash ^ hash >> 32
+    };
+    p.iter().fold(0, |hash, &coordinate| mixed(hash, coordinate)).wrapping_mul(FACTOR)
 }
 
-/// All faces with their welded vertices. Degenerate faces close the surface around them; after welding they must still
-/// have three corners.
+/// All faces with their welded vertices.
 fn welded_faces<'a>(mesh: &'a Mesh, welded: &[u32]) -> Cow<'a, [[u32; 3]]> {
-    let are_welded = welded.iter().zip(0..).all(|(&first, v)| first == v);
-    if are_welded && mesh.degenerate_faces().is_empty() {
+    if welded.iter().zip(0..).all(|(&first, v)| first == v) {
         return Cow::Borrowed(mesh.faces());
     }
-    let mut faces: Vec<[u32; 3]> = with_room(mesh.faces().len() + mesh.degenerate_faces().len());
-    faces.extend(mesh.faces().iter().chain(mesh.degenerate_faces()).map(|face| face.map(|v| welded[v as usize])));
+    let mut faces: Vec<[u32; 3]> = with_room(mesh.faces().len());
+    faces.extend(mesh.faces().iter().map(|face| face.map(|v| welded[v as usize])));
     Cow::Owned(faces)
 }
 
-/// Marks every face with the same three corners as an earlier one, and faces that lost a corner to welding, which have
-/// no orientation. Returns the number of the former.
+/// Marks every face with the same three corners as an earlier one. Returns the number of these faces.
 fn skip_duplicates(faces: &[[u32; 3]], orientation: &mut [Orientation]) -> usize {
     let mut seen = FxHashSet::default();
     let mut duplicates = 0;
@@ -256,7 +254,7 @@ fn skip_duplicates(faces: &[[u32; 3]], orientation: &mut [Orientation]) -> usize
         corners.sort_unstable();
         let is_new = seen.insert(corners);
         duplicates += usize::from(!is_new);
-        if !is_new || has_repeated_corner(face) {
+        if !is_new {
             *orientation = Orientation::Skipped;
         }
     }
@@ -348,9 +346,9 @@ mod tests {
         /// Points of a small grid, where many coincide, and both zeros occur.
         #[test]
         fn welding_finds_the_first_vertex_at_each_position(grid in prop::collection::vec(0u32..64, 0..100)) {
-            let coordinate = |i: u32| if i == 3 { -0.0 } else { i as f32 * 0.25 };
-            let at = |&i: &u32| Vec3::from([i, i / 4, i / 16].map(|i| coordinate(i % 4)));
-            let positions: Vec<Vec3> = grid.iter().map(at).collect();
+            let coordinate = |i: u32| if i == 3 { -0.0 } else { f64::from(i) * 1e-20 };
+            let at = |&i: &u32| [i, i / 4, i / 16].map(|i| coordinate(i % 4));
+            let positions: Vec<[f64; 3]> = grid.iter().map(at).collect();
             let first = |p| positions.iter().position(|q| q == p).map(|first| first as u32);
             let brute: Vec<Option<u32>> = positions.iter().map(first).collect();
             prop_assert_eq!(weld(&positions).into_iter().map(Some).collect::<Vec<_>>(), brute);

@@ -2,9 +2,10 @@
 
 use super::side_grid::SideGrid;
 use super::{CHUNK, answer_in_order, check_points, prepare};
+use crate::bvh::BOX_ROUNDING;
 use crate::error::Error;
 use crate::gpu::Place;
-use crate::memory::zeroed_result;
+use crate::memory::{space_for, zeroed_rows};
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::sign::{SignMethod, SignRule};
@@ -17,10 +18,10 @@ use rayon::prelude::*;
 pub fn contains(mesh: &Mesh, points: &[[f64; 3]], method: SignMethod, progress: &Progress) -> Result<Vec<bool>, Error> {
     check_points(mesh, points)?;
     let choice = prepare(mesh, method);
-    let Some(grid) = SideGrid::new(mesh, &choice.rule, points.len()) else {
+    let Some(grid) = SideGrid::new(mesh, &choice.rule, points.len(), progress)? else {
         return contains_each(mesh, points, &choice.rule, progress);
     };
-    let mut inside: Vec<bool> = zeroed_result(points.len());
+    let mut inside: Vec<bool> = zeroed_rows("results", points.len())?;
     let parts = inside.par_chunks_mut(CHUNK).zip(points.par_chunks(CHUNK)).enumerate();
     let rows = parts
         .map(|(part, (inside, points))| {
@@ -36,7 +37,8 @@ pub fn contains(mesh: &Mesh, points: &[[f64; 3]], method: SignMethod, progress: 
         .collect::<Result<Vec<Vec<u32>>, _>>()?;
     drop(grid);
     let rows = rows.concat();
-    let others: Vec<[f64; 3]> = rows.par_iter().map(|&row| points[row as usize]).collect();
+    let mut others: Vec<[f64; 3]> = space_for("points", rows.len())?;
+    rows.par_iter().map(|&row| points[row as usize]).collect_into_vec(&mut others);
     let sides = contains_each(mesh, &others, &choice.rule, progress)?;
     rows.into_iter().zip(sides).for_each(|(row, side)| inside[row as usize] = side);
     Ok(inside)
@@ -45,7 +47,8 @@ pub fn contains(mesh: &Mesh, points: &[[f64; 3]], method: SignMethod, progress: 
 /// [`contains`] of points that each need a search.
 fn contains_each(mesh: &Mesh, points: &[[f64; 3]], rule: &SignRule, progress: &Progress) -> Result<Vec<bool>, Error> {
     let bounds = mesh.bvh().bounds;
-    let (lower, upper) = (bounds.min.as_dvec3(), bounds.max.as_dvec3());
+    // The box contains float32 positions.
+    let (lower, upper) = (bounds.min.as_dvec3() - BOX_ROUNDING, bounds.max.as_dvec3() + BOX_ROUNDING);
     let closed = mesh.topology().closed;
     if closed && matches!(rule, SignRule::Counted(_)) {
         mesh.ray_packs();
@@ -65,7 +68,7 @@ fn contains_each(mesh: &Mesh, points: &[[f64; 3]], rule: &SignRule, progress: &P
             rule => walk.sides.is_inside_without_distance(rule, mesh, p),
         }
     })?;
-    Ok(answers.into_rows())
+    answers.into_rows(progress)
 }
 
 /// The winding number of each world position, of the faces as they are wound.
@@ -85,7 +88,7 @@ pub fn winding_numbers(mesh: &Mesh, points: &[[f64; 3]], error: f64, progress: &
     let answers = answer_in_order(&Place::Cpu, mesh, points, progress, |_, p, _| {
         if fast { mesh.moments().winding(mesh, p) } else { closure.winding(mesh, p) }
     })?;
-    Ok(answers.into_rows())
+    answers.into_rows(progress)
 }
 
 /// Typical error of the dipoles of `sign::winding`, turns: an estimate from test meshes, not a bound. Close to large

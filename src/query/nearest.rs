@@ -15,7 +15,7 @@ use crate::bvh::closest::ClosestPoint;
 use crate::error::Error;
 use crate::geometry::{Feature, triangle_cross};
 use crate::gpu::Place;
-use crate::memory::zeroed_result;
+use crate::memory::zeroed_rows;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::sign::{SideWalk, SignMethod, SignRule};
@@ -80,23 +80,23 @@ pub fn closest_points(
     })?;
     let count = points.len();
     let mut found = ClosestPoints {
-        points: zeroed_result(count),
-        distances: zeroed_result(count),
-        faces: zeroed_result(count),
-        barycentric: zeroed_result(count),
-        normals: zeroed_result(count),
+        points: zeroed_rows("results", count)?,
+        distances: zeroed_rows("results", count)?,
+        faces: zeroed_rows("results", count)?,
+        barycentric: zeroed_rows("results", count)?,
+        normals: zeroed_rows("results", count)?,
     };
     let columns = found.points.chunks_mut(CHUNK).zip(found.distances.chunks_mut(CHUNK));
     let columns = columns.zip(found.faces.chunks_mut(CHUNK)).zip(found.barycentric.chunks_mut(CHUNK));
     let columns = columns.zip(found.normals.chunks_mut(CHUNK));
-    answers.write_rows(columns, |column, i, (closest, normal)| {
+    answers.write_rows(progress, columns, |column, i, (closest, normal)| {
         let ((((points, distances), faces), barycentric), normals) = column;
         points[i] = mesh.world_from_local(closest.on_triangle.point).to_array();
         distances[i] = closest.distance * mesh.scale();
         faces[i] = closest.face.into();
         barycentric[i] = closest.on_triangle.weights;
         normals[i] = normal.to_array();
-    });
+    })?;
     Ok(found)
 }
 
@@ -119,18 +119,18 @@ pub fn query(
     })?;
     let count = points.len();
     let mut found = Query {
-        distances: zeroed_result(count),
-        gradients: zeroed_result(count),
-        points: zeroed_result(count),
-        faces: zeroed_result(count),
-        barycentric: zeroed_result(count),
+        distances: zeroed_rows("results", count)?,
+        gradients: zeroed_rows("results", count)?,
+        points: zeroed_rows("results", count)?,
+        faces: zeroed_rows("results", count)?,
+        barycentric: zeroed_rows("results", count)?,
         report: Report::default(),
     };
     let columns = found.distances.chunks_mut(CHUNK).zip(found.gradients.chunks_mut(CHUNK));
     let columns = columns.zip(found.points.chunks_mut(CHUNK)).zip(found.faces.chunks_mut(CHUNK));
     let mut inside_counts = vec![0usize; count.div_ceil(CHUNK)];
     let columns = columns.zip(found.barycentric.chunks_mut(CHUNK)).zip(&mut inside_counts);
-    answers.write_rows(columns, |column, i, (closest, inside, gradient)| {
+    answers.write_rows(progress, columns, |column, i, (closest, inside, gradient)| {
         let (((((distances, gradients), points), faces), barycentric), inside_count) = column;
         **inside_count += usize::from(*inside);
         let distance = closest.distance * mesh.scale();
@@ -139,7 +139,7 @@ pub fn query(
         points[i] = mesh.world_from_local(closest.on_triangle.point).to_array();
         faces[i] = closest.face.into();
         barycentric[i] = closest.on_triangle.weights;
-    });
+    })?;
     let inside_points = inside_counts.iter().sum();
     found.report = Report::of_query(mesh, &choice, count, inside_points);
     found.report.device = place.label();
@@ -234,7 +234,10 @@ fn nearest_feature(closest: &ClosestPoint) -> Feature {
 pub(super) fn unit_normal(mesh: &Mesh, cross: DVec3, face: u32) -> DVec3 {
     cross
         .try_normalize()
-        // A face has an area in float32 positions, otherwise it would have been dropped.
-        .or_else(|| triangle_cross(mesh.triangle(face)).try_normalize())
+        // Any direction across the face suits one whose corners lie on a line.
+        .or_else(|| {
+            let [a, b, _] = mesh.exact_triangle(face);
+            (b - a).try_normalize().map(|along| along.any_orthonormal_vector())
+        })
         .unwrap_or(DVec3::X)
 }

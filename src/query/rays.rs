@@ -12,12 +12,16 @@ use super::ray_list::{CHUNK, Rays};
 use crate::bvh::watertight::{FaceHit, Ray};
 use crate::error::{ArgumentError, Error};
 use crate::gpu::Place;
-use crate::memory::zeroed_result;
+use crate::memory::{require_rows, space_for, zeroed_rows};
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Number of intersections that are found between two comparisons with the free memory.
+const HITS_PER_CHECK: usize = 1 << 18;
 
 /// First hits, one entry per ray.
 #[derive(Debug, Clone, Default)]
@@ -49,10 +53,10 @@ pub struct Intersections {
 pub fn cast_rays(place: &Place, mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> Result<RayHits, Error> {
     let count = rays.origins.len();
     let mut hits = RayHits {
-        t: zeroed_result(count),
-        faces: zeroed_result(count),
-        barycentric: zeroed_result(count),
-        normals: zeroed_result(count),
+        t: zeroed_rows("results", count)?,
+        faces: zeroed_rows("results", count)?,
+        barycentric: zeroed_rows("results", count)?,
+        normals: zeroed_rows("results", count)?,
     };
     let columns = hits.t.chunks_mut(CHUNK).zip(hits.faces.chunks_mut(CHUNK));
     let columns = columns.zip(hits.barycentric.chunks_mut(CHUNK)).zip(hits.normals.chunks_mut(CHUNK));
@@ -74,6 +78,7 @@ pub fn cast_rays(place: &Place, mesh: &Mesh, rays: &Rays<'_>, progress: &Progres
                 // The other columns contain zeros.
                 None => (t[i], faces[i]) = (f64::INFINITY, -1),
             });
+            Ok(())
         },
     )?;
     Ok(hits)
@@ -81,9 +86,10 @@ pub fn cast_rays(place: &Place, mesh: &Mesh, rays: &Rays<'_>, progress: &Progres
 
 /// Whether each ray hits anything.
 pub fn occluded(place: &Place, mesh: &Mesh, rays: &Rays<'_>, progress: &Progress) -> Result<Vec<bool>, Error> {
-    let mut occluded = vec![false; rays.origins.len()];
+    let mut occluded: Vec<bool> = zeroed_rows("results", rays.origins.len())?;
     trace(place, Search::Any, mesh, rays, progress, occluded.chunks_mut(CHUNK), |batch, column, _: &mut ()| {
         batch.are_occluded(mesh, |i, found| column[i] = found);
+        Ok(())
     })?;
     Ok(occluded)
 }
@@ -96,10 +102,11 @@ pub fn count_intersections(
     progress: &Progress,
 ) -> Result<Vec<i64>, Error> {
     mesh.topology();
-    let mut counts = vec![0; rays.origins.len()];
+    let mut counts = zeroed_rows("results", rays.origins.len())?;
     trace(place, Search::All, mesh, rays, progress, counts.chunks_mut(CHUNK), |batch, column, lists| {
         batch.all_hits(mesh, lists);
         column.iter_mut().zip(lists).for_each(|(count, hits)| *count = hits.len() as i64);
+        Ok(())
     })?;
     Ok(counts)
 }
@@ -112,19 +119,36 @@ pub fn all_intersections(
     progress: &Progress,
 ) -> Result<Intersections, Error> {
     mesh.topology();
-    let mut lists = vec![Vec::new(); rays.origins.len()];
-    trace(place, Search::All, mesh, rays, progress, lists.chunks_mut(CHUNK), |batch, column, found| {
+    let mut lists: Vec<Vec<(usize, FaceHit)>> = Vec::new();
+    lists.resize_with(rays.origins.len().div_ceil(CHUNK), Vec::new);
+    let count = AtomicUsize::new(0);
+    trace(place, Search::All, mesh, rays, progress, lists.iter_mut(), |batch, list, found| {
         batch.all_hits(mesh, found);
-        column.iter_mut().zip(found).for_each(|(list, hits)| list.clone_from(hits));
+        let rows = batch.rows.clone().zip(found.iter());
+        list.extend(rows.flat_map(|(row, hits)| hits.iter().map(move |&hit| (row, hit))));
+        list.shrink_to_fit();
+        // The number of hits is unknown before, so the free memory is compared from time to time.
+        let before = count.fetch_add(list.len(), Ordering::Relaxed);
+        if before / HITS_PER_CHECK == (before + list.len()) / HITS_PER_CHECK {
+            return Ok(());
+        }
+        require_rows::<(usize, FaceHit)>("intersections", 2 * HITS_PER_CHECK)
     })?;
-    let mut all = Intersections::default();
-    for (row, hits) in lists.iter().enumerate() {
-        for hit in hits {
+    let count = count.into_inner();
+    let mut all = Intersections {
+        rays: space_for("intersections", count)?,
+        t: space_for("intersections", count)?,
+        faces: space_for("intersections", count)?,
+        barycentric: space_for("intersections", count)?,
+    };
+    for list in lists {
+        for (row, hit) in list {
             all.rays.push(row as i64);
             all.t.push(hit.t);
             all.faces.push(i64::from(hit.face));
             all.barycentric.push(hit.weights);
         }
+        progress.check()?;
     }
     Ok(all)
 }
@@ -186,7 +210,7 @@ fn trace<C: Send, S: Default>(
     rays: &Rays<'_>,
     progress: &Progress,
     columns: impl Iterator<Item = C>,
-    answer: impl Fn(&Batch<'_>, &mut C, &mut S) + Sync,
+    answer: impl Fn(&Batch<'_>, &mut C, &mut S) -> Result<(), Error> + Sync,
 ) -> Result<(), Error> {
     check(rays)?;
     let count = rays.origins.len();
@@ -202,7 +226,7 @@ fn trace<C: Send, S: Default>(
     let answer_task = |scratch: &mut S, (task, mut column): (usize, C)| {
         let rows = task * CHUNK..count.min((task + 1) * CHUNK);
         let items = rows.len() as u64;
-        answer(&Batch { rays, rows: rows.clone(), near, found: found.get(rows) }, &mut column, scratch);
+        answer(&Batch { rays, rows: rows.clone(), near, found: found.get(rows) }, &mut column, scratch)?;
         progress.advance(items)
     };
     let mut tasks = columns.enumerate();

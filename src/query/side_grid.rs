@@ -10,7 +10,9 @@
 //! but changes no side. The index of a cell is a monotonic function of each coordinate, rounding included, so every
 //! point of a face has an index between those of the corners of its box.
 
+use crate::error::Error;
 use crate::mesh::Mesh;
+use crate::progress::Progress;
 use crate::sign::SignRule;
 use crate::sign::openings::Openings;
 use glam::{DVec3, UVec3};
@@ -63,18 +65,21 @@ pub(super) struct SideGrid {
 
 impl SideGrid {
     /// The grid for a number of points. None if rays are faster, or if the rule has no integer winding number.
-    pub(super) fn new(mesh: &Mesh, rule: &SignRule, points: usize) -> Option<Self> {
-        let SignRule::Counted(openings) = rule else { return None };
+    pub(super) fn new(mesh: &Mesh, rule: &SignRule, points: usize, progress: &Progress) -> Result<Option<Self>, Error> {
+        let SignRule::Counted(openings) = rule else { return Ok(None) };
         if points < LEAST_POINTS || mesh.faces().len() > FACES_PER_POINT * points {
-            return None;
+            return Ok(None);
         }
         let mut grid = Self::empty(mesh, points);
-        grid.enter_faces(mesh)?;
+        if grid.enter_faces(mesh).is_none() {
+            return Ok(None);
+        }
+        progress.check()?;
         if !openings.caps.is_empty() {
             grid.enter_openings(openings);
         }
-        grid.decide(|p| rule.is_inside_without_distance(mesh, p));
-        Some(grid)
+        grid.decide(|p| rule.is_inside_without_distance(mesh, p), progress)?;
+        Ok(Some(grid))
     }
 
     /// Whether a local point is inside. None in entered cells and outside the grid.
@@ -122,7 +127,7 @@ impl SideGrid {
 
     /// Marks the cells that faces enter. None if that would take too many comparisons.
     fn enter_faces(&mut self, mesh: &Mesh) -> Option<()> {
-        let corners = |face: &[u32; 3]| face.map(|v| mesh.positions()[v as usize].as_dvec3());
+        let corners = |face: &[u32; 3]| face.map(|v| mesh.exact_position(v));
         let mut left = COMPARISONS.0 * self.cells.len() + COMPARISONS.1 * mesh.faces().len();
         for face in mesh.faces() {
             let [first, last] = self.range(corners(face));
@@ -132,10 +137,13 @@ impl SideGrid {
         for face in mesh.faces() {
             let corners = corners(face);
             let [first, last] = self.range(corners);
-            let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
+            let (ab, ac) = (corners[1] - corners[0], corners[2] - corners[0]);
+            let normal = ab.cross(ac);
+            // The normal of a sliver consists of rounding. Local coordinates are below 1, the grid is little larger.
+            let rounding = 16.0 * f64::EPSILON * ab.abs().max_element() * ac.abs().max_element();
             // In one layer of cells, the plane rejects few of them.
             let is_thin = (last - first).min_element() == 0;
-            let reach = normal.abs().dot(half) * (1.0 + ROUNDING);
+            let reach = normal.abs().dot(half) * (1.0 + ROUNDING) + rounding;
             for z in first.z..=last.z {
                 for y in first.y..=last.y {
                     for x in first.x..=last.x {
@@ -186,7 +194,7 @@ impl SideGrid {
     }
 
     /// Decides the side of every free cell by one point of its region.
-    fn decide(&mut self, is_inside: impl Fn(DVec3) -> bool + Sync) {
+    fn decide(&mut self, is_inside: impl Fn(DVec3) -> bool + Sync, progress: &Progress) -> Result<(), Error> {
         const NONE: u32 = u32::MAX;
         // Union-find over numbers of regions; a region is known by its first cell.
         let (mut parents, mut seeds) = (Vec::<u32>::new(), Vec::new());
@@ -228,6 +236,7 @@ impl SideGrid {
                     regions[index] = region;
                 }
             }
+            progress.check()?;
         }
         let mut sides: Vec<Cell> = parents
             .par_iter()
@@ -248,6 +257,7 @@ impl SideGrid {
         for (cell, &region) in self.cells.iter_mut().zip(&regions).filter(|(_, region)| **region != NONE) {
             *cell = sides[region as usize];
         }
+        Ok(())
     }
 }
 
@@ -284,7 +294,7 @@ mod tests {
     fn decided(geometry: &(Vec<[f64; 3]>, Vec<[i64; 3]>), count: usize) -> Option<f64> {
         let mesh = Mesh::new(&geometry.0, &geometry.1).unwrap();
         let rule = SignChoice::new(&mesh, SignMethod::Auto).rule;
-        let grid = SideGrid::new(&mesh, &rule, count)?;
+        let grid = SideGrid::new(&mesh, &rule, count, &Progress::new()).unwrap()?;
         let bounds = mesh.bvh().bounds;
         let (lower, extent) = (bounds.min.as_dvec3(), (bounds.max - bounds.min).as_dvec3());
         let mut random = uniform(5);

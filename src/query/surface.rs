@@ -7,7 +7,7 @@
 use super::nearest::unit_normal;
 use crate::error::Error;
 use crate::geometry::triangle_cross;
-use crate::memory::{prefetch, zeroed_result};
+use crate::memory::{prefetch, zeroed_rows};
 use crate::mesh::Mesh;
 use crate::mesh::derived::Derived;
 use crate::progress::Progress;
@@ -36,10 +36,10 @@ pub fn sample_surface(mesh: &Mesh, count: usize, seed: u64, progress: &Progress)
     progress.set_total(count as u64);
     let areas: &Areas = mesh.derived();
     let mut samples = SurfaceSamples {
-        points: zeroed_result(count),
-        normals: zeroed_result(count),
-        faces: zeroed_result(count),
-        barycentric: zeroed_result(count),
+        points: zeroed_rows("samples", count)?,
+        normals: zeroed_rows("samples", count)?,
+        faces: zeroed_rows("samples", count)?,
+        barycentric: zeroed_rows("samples", count)?,
     };
     let key = mix(seed);
     let columns = samples.points.par_chunks_mut(CHUNK).zip(samples.normals.par_chunks_mut(CHUNK));

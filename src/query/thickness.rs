@@ -62,7 +62,7 @@ pub fn thickness(
         };
         2.0 * radius(mesh, closest.on_triangle.point, normal) * mesh.scale()
     })?;
-    Ok(answers.into_rows())
+    answers.into_rows(progress)
 }
 
 /// The largest ball that touches a point of the surface, as found so far.

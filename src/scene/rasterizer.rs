@@ -398,10 +398,12 @@ mod tests {
     use super::super::triangles::Triangles;
     use super::super::{Ambient, InstanceInput, Material, Primary, SceneShadows};
     use super::*;
+    use crate::gpu::Place;
     use crate::progress::Progress;
     use crate::render::Camera;
     use crate::scene::eye::draw_row;
     use crate::scene::primary::draw;
+    use crate::scene::renderer::Renderer;
     use std::sync::Arc;
 
     /// A grid of quads over the unit square at height 0, with `bumps` of this height.
@@ -470,12 +472,8 @@ mod tests {
         Scene::new(inputs, materials, Vec::new()).unwrap()
     }
 
-    /// The rasteriser and the search give the same layers bit for bit, for eyes outside, among the meshes, in the plane
-    /// of the floor, and far away.
-    #[test]
-    fn the_picture_is_that_of_the_search() {
-        let scene = scene();
-        let options = RenderOptions {
+    fn options() -> RenderOptions {
+        RenderOptions {
             size: [64, 49],
             primary: Primary::Auto,
             shadows: SceneShadows::None,
@@ -488,7 +486,38 @@ mod tests {
             exposure: 1.0,
             samples: 1,
             light_scale: 1,
-        };
+        }
+    }
+
+    /// A camera that looks at the origin.
+    fn camera(eye: DVec3, fov_deg: f64) -> Camera {
+        let back = eye.normalize();
+        let right = DVec3::Y.cross(back).normalize();
+        let up = back.cross(right);
+        let row = |i: usize| [right[i], up[i], back[i], eye[i]];
+        Camera::from_pose(&[row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]], fov_deg).unwrap()
+    }
+
+    /// The rows of every stage count, so the fraction ends at 1 without the addition of the caller.
+    #[test]
+    fn the_progress_of_a_picture_ends_at_one_with_and_without_reuse() {
+        let (scene, renderer) = (Arc::new(scene()), Renderer::new(true));
+        let view = camera(DVec3::new(3.0, 2.0, 5.0), 45.0);
+        for reused in [[false; 2], [true; 2]] {
+            let progress = Progress::new();
+            let rendered = renderer.frame(&Place::Cpu, &scene, &view, &options(), &progress).unwrap();
+            assert_eq!((rendered.reused, progress.fraction()), (reused, 1.0));
+        }
+        let progress = Progress::new();
+        progress.cancel();
+        assert!(renderer.frame(&Place::Cpu, &scene, &view, &options(), &progress).is_err());
+    }
+
+    /// The rasteriser and the search give the same layers bit for bit, for eyes outside, among the meshes, in the plane
+    /// of the floor, and far away.
+    #[test]
+    fn the_picture_is_that_of_the_search() {
+        let (scene, options) = (scene(), options());
         let eyes = [
             (DVec3::new(3.0, 2.0, 5.0), 45.0),
             (DVec3::new(0.3, 0.9, 0.2), 100.0),
@@ -498,11 +527,7 @@ mod tests {
             (DVec3::new(3000.0, 2000.0, 5000.0), 0.05),
         ];
         for (eye, fov_deg) in eyes {
-            let back = eye.normalize();
-            let right = DVec3::Y.cross(back).normalize();
-            let up = back.cross(right);
-            let row = |i: usize| [right[i], up[i], back[i], eye[i]];
-            let camera = Camera::from_pose(&[row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]], fov_deg).unwrap();
+            let camera = camera(eye, fov_deg);
             for offset in [[0.5, 0.5], [0.25, 0.75]] {
                 let drawn = draw(&scene, &camera, &options, offset, &Progress::new()).unwrap();
                 let view = View { camera, size: options.size, offset };

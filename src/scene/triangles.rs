@@ -5,6 +5,7 @@
 //! are therefore smooth, and boxes keep their edges.
 
 use crate::error::{Error, SceneError};
+use crate::geometry::triangle_cross;
 use crate::mesh::Mesh;
 use glam::{DVec3, Vec2, Vec3, Vec4};
 use std::collections::BTreeSet;
@@ -94,14 +95,19 @@ impl Triangles {
         self.used_materials.last().map_or(1, |&last| last as usize + 1)
     }
 
-    /// Whether all vertices lie within `tolerance` of the plane of the first face, local units. The answer is kept, so
-    /// all callers pass the same tolerance.
+    /// Whether all vertices lie within `tolerance` of the plane of the largest face, local units. The result is kept,
+    /// so all callers pass the same tolerance.
     pub fn is_flat(&self, tolerance: f64) -> bool {
         *self.is_flat.get_or_init(|| {
-            let [a, b, c] = self.mesh.triangle(0);
-            let normal = (b - a).cross(c - a).normalize_or_zero();
+            let faces = 0..self.mesh.faces().len() as u32;
+            let largest = |face: u32| (triangle_cross(self.mesh.triangle(face)), self.mesh.triangle(face)[0]);
+            let area = |(cross, _): &(DVec3, DVec3)| cross.length_squared();
+            let Some((cross, a)) = faces.clone().map(largest).max_by(|x, y| area(x).total_cmp(&area(y))) else {
+                return false;
+            };
+            let normal = cross.normalize_or_zero();
             let is_near = |p: &DVec3| (*p - a).dot(normal).abs() <= tolerance;
-            (0..self.mesh.faces().len() as u32).all(|face| self.mesh.triangle(face).iter().all(is_near))
+            faces.clone().all(|face| self.mesh.triangle(face).iter().all(is_near))
         })
     }
 

@@ -58,7 +58,7 @@ pub(super) fn rims(rim: &[[u32; 2]]) -> Vec<Vec<[u32; 2]>> {
 
 /// The caps over all openings of a mesh, local units.
 pub(super) fn caps(mesh: &Mesh) -> Vec<Cap> {
-    let position = |v: u32| mesh.positions()[v as usize].as_dvec3();
+    let position = |v: u32| mesh.exact_position(v);
     let edges = |walk: &[[u32; 2]]| -> Vec<Edge> {
         walk.iter().map(|edge| Edge { ends: edge.map(position), is_on_rim: true }).collect()
     };

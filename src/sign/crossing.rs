@@ -14,10 +14,12 @@
 //! - The sign of an exact 3D orientation tells whether the hit lies ahead of p. It can be zero only for p on the
 //!   surface, where the distance is zero and has no sign.
 //!
+//! The triangles have the float64 positions of the input. The tree, whose boxes are float32, only selects them.
+//!
 //! On a grid, one row of columns shares all work for an edge: an edge splits the row at one column.
 
 use crate::bvh::boxes::round_down;
-use crate::bvh::{Bvh, Node};
+use crate::bvh::{BOX_ROUNDING, Bvh, Node};
 use crate::mesh::Mesh;
 use crate::mesh::topology::Topology;
 use glam::{DVec3, Vec3};
@@ -56,7 +58,7 @@ impl<'a> ClosedSurface<'a> {
     /// Winding number of a local point by the ray in the positive direction of `axes.ray`.
     pub(crate) fn winding(&self, p: DVec3, axes: Axes) -> i32 {
         let mut winding = 0;
-        let ray = RayBox::new(p, axes, 0.0);
+        let ray = RayBox::new(p, axes);
         self.for_each_candidate(|node| ray.overlaps(node), |triangle| winding += crossing(p, triangle, axes));
         winding
     }
@@ -64,7 +66,7 @@ impl<'a> ClosedSurface<'a> {
     /// Number of faces that the ray crosses, in any direction.
     pub(crate) fn crossings(&self, p: DVec3, axes: Axes) -> u32 {
         let mut count = 0;
-        let ray = RayBox::new(p, axes, 0.0);
+        let ray = RayBox::new(p, axes);
         self.for_each_candidate(
             |node| ray.overlaps(node),
             |triangle| count += crossing(p, triangle, axes).unsigned_abs(),
@@ -76,7 +78,7 @@ impl<'a> ClosedSurface<'a> {
         self.bvh.visit(overlaps, |pack| {
             for &face in pack.faces() {
                 if let Some(corners) = self.topology.oriented_face(self.mesh, face) {
-                    on_triangle(corners.map(|v| self.mesh.positions()[v as usize].as_dvec3()));
+                    on_triangle(corners.map(|v| self.mesh.exact_position(v)));
                 }
             }
         });
@@ -87,23 +89,23 @@ impl<'a> ClosedSurface<'a> {
 /// The points of a ray along an axis, or of a row of such rays, as a box for comparisons with the boxes of nodes.
 ///
 /// A float32 bound of a node is at most a float64 coordinate if and only if it is at most that coordinate, rounded
-/// down. The comparisons are therefore exact, and no child is missed.
+/// down. The boxes contain float32 positions, so they are enlarged by the rounding of these. No child is missed.
 pub(super) struct RayBox {
     low: Vec3,
     high: Vec3,
 }
 
 impl RayBox {
-    /// The ray from `p` in the positive direction of `axes.ray`, for boxes that may be too small by `margin`.
-    pub(super) fn new(p: DVec3, axes: Axes, margin: f64) -> Self {
+    /// The ray from `p` in the positive direction of `axes.ray`.
+    pub(super) fn new(p: DVec3, axes: Axes) -> Self {
         let mut end = p;
         end[axes.ray] = f64::INFINITY;
-        Self::between(p - margin, end + margin)
+        Self::between(p, end)
     }
 
     /// All points from `low` to `high`, which may be infinite.
     fn between(low: DVec3, high: DVec3) -> Self {
-        Self { low: -round_down(-low), high: round_down(high) }
+        Self { low: -round_down(BOX_ROUNDING - low), high: round_down(high + BOX_ROUNDING) }
     }
 
     /// Mask of the children that the rays can intersect.

@@ -268,7 +268,8 @@ fn is_behind_nudged_face(mesh: &Mesh, p: DVec3, closest: &ClosestPoint) -> bool 
     // A nudge changes a distance by at most its length, so no other face can become the nearest.
     let reach = (closest.distance + 2.0 * NUDGE) * (1.0 + 1e-6);
     mesh.bvh().faces_within(p.as_vec3(), reach as f32, |face| {
-        let normal = triangle_cross(mesh.triangle(face)).normalize();
+        // A face without area has no side.
+        let Some(normal) = triangle_cross(mesh.triangle(face)).try_normalize() else { return };
         let q = mesh.closest_point_on_face(face, p).on_triangle.point;
         let nudged = (q + normal * NUDGE).distance(p);
         // Among equally near faces the lowest one decides, in any order of the faces.

@@ -6,7 +6,7 @@
 //! the angle weighted pseudonormal*, IEEE TVCG 11(3), 2005. Faces are oriented as the topology decided.
 
 use crate::bvh::closest::ClosestPoint;
-use crate::geometry::{Feature, triangle_cross};
+use crate::geometry::{Feature, is_needle, triangle_cross};
 use crate::mesh::Mesh;
 use crate::mesh::derived::Derived;
 use crate::mesh::topology::{Orientation, direction};
@@ -31,7 +31,7 @@ impl Derived for Pseudonormals {
         let mut edge: HashMap<[u32; 2], DVec3> = HashMap::with_capacity(mesh.faces().len() * 3 / 2);
         for f in 0..mesh.faces().len() {
             let corners = mesh.exact_triangle(f as u32);
-            let normal = triangle_cross(corners).normalize_or_zero() * direction(topology.orientation[f]);
+            let normal = normal_of(corners) * direction(topology.orientation[f]);
             face.push(normal);
             for i in 0..3 {
                 let (here, next, previous) = (corners[i], corners[(i + 1) % 3], corners[(i + 2) % 3]);
@@ -45,7 +45,7 @@ impl Derived for Pseudonormals {
         // direction.
         for f in 0..mesh.faces().len() {
             if topology.orientation[f] == Orientation::Skipped {
-                let own = triangle_cross(mesh.exact_triangle(f as u32)).normalize_or_zero();
+                let own = normal_of(mesh.exact_triangle(f as u32));
                 let around: f64 = (0..3).map(|i| normals.edge[&edge_key(mesh, f as u32, i)].dot(own)).sum();
                 normals.face[f] = if around < 0.0 { -own } else { own };
             }
@@ -85,6 +85,11 @@ impl Pseudonormals {
         let normal = self.at(mesh, closest.face, closest.on_triangle.feature);
         (p - closest.on_triangle.point).dot(normal) < 0.0
     }
+}
+
+/// Unit normal of a triangle, zero for a needle. The normals of its edges are then those of its neighbours.
+fn normal_of(corners: [DVec3; 3]) -> DVec3 {
+    if is_needle(corners) { DVec3::ZERO } else { triangle_cross(corners).normalize_or_zero() }
 }
 
 fn edge_key(mesh: &Mesh, face: u32, i: usize) -> [u32; 2] {

@@ -6,10 +6,9 @@
 //! integer - w(cone). The cost is therefore one ray and one solid angle per rim edge. The error is that of the sum of
 //! those angles, about 1e-15 each.
 //!
-//! The sign rules of the other modules use repaired orientations and float32 positions. This module takes every face as
-//! it is wound, including repeated and flipped ones, with the float64 positions of the mesh. Faces without area are
-//! part of the closed surface. If the rims have more edges than the mesh has faces, the solid angles of the faces
-//! themselves are summed.
+//! The sign rules of the other modules use repaired orientations. This module takes every face as it is wound,
+//! including repeated and flipped ones. If the rims have more edges than the mesh has faces, the solid angles of the
+//! faces themselves are summed.
 
 use super::crossing::{Axes, RayBox, crossing};
 use crate::geometry::SolidAngles;
@@ -19,8 +18,6 @@ use glam::DVec3;
 use rustc_hash::FxHashMap;
 use std::f64::consts::PI;
 
-/// Float32 positions of the boxes differ from the float64 positions of the mesh by half an ulp of 1/2, local units.
-const BOX_ROUNDING: f64 = 3.1e-8;
 /// Offset of the apex from the centre of the mesh's box, local units. It points away from the planes of typical points
 /// and models, so that no point lies on the cone by symmetry.
 const APEX: DVec3 = DVec3::new(0.003_69, 0.005_37, 0.007_58);
@@ -30,20 +27,16 @@ const APEX: DVec3 = DVec3::new(0.003_69, 0.005_37, 0.007_58);
 pub struct RawClosure {
     /// The cone over all rims.
     cone: Vec<[DVec3; 3]>,
-    /// Faces without area, which are not in the tree.
-    flat: Vec<[DVec3; 3]>,
 }
 
 impl Derived for RawClosure {
     fn derive(mesh: &Mesh) -> Self {
         let welded = &mesh.topology().welded;
         let mut net: FxHashMap<[u32; 2], i32> = FxHashMap::default();
-        for face in mesh.faces().iter().chain(mesh.degenerate_faces()) {
+        for face in mesh.faces() {
             for i in 0..3 {
                 let [from, to] = [face[i], face[(i + 1) % 3]].map(|v| welded[v as usize]);
-                if from != to {
-                    *net.entry([from.min(to), from.max(to)]).or_default() += if from < to { 1 } else { -1 };
-                }
+                *net.entry([from.min(to), from.max(to)]).or_default() += if from < to { 1 } else { -1 };
             }
         }
         let mut rims: Vec<([u32; 2], i32)> = net.into_iter().filter(|(_, count)| *count != 0).collect();
@@ -56,12 +49,11 @@ impl Derived for RawClosure {
             let triangle = [position(from), position(to), APEX];
             cone.extend(std::iter::repeat_n(triangle, count.unsigned_abs() as usize));
         }
-        let flat = mesh.degenerate_faces().iter().map(|face| face.map(|v| position(welded[v as usize]))).collect();
-        Self { cone, flat }
+        Self { cone }
     }
 
     fn bytes(&self) -> usize {
-        size_of_val(&self.cone[..]) + size_of_val(&self.flat[..])
+        size_of_val(&self.cone[..])
     }
 }
 
@@ -86,7 +78,7 @@ impl RawClosure {
         }
         let mut count = 0;
         let axes = Axes::X;
-        let ray = RayBox::new(p, axes, BOX_ROUNDING);
+        let ray = RayBox::new(p, axes);
         mesh.bvh().visit(
             |node| ray.overlaps(node),
             |pack| {
@@ -95,8 +87,7 @@ impl RawClosure {
                 }
             },
         );
-        let extra = self.cone.iter().chain(&self.flat);
-        count += extra.map(|&triangle| crossing(p, triangle, axes)).sum::<i32>();
+        count += self.cone.iter().map(|&triangle| crossing(p, triangle, axes)).sum::<i32>();
         f64::from(count) - turns_at(p, self.cone.iter().copied())
     }
 }

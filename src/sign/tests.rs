@@ -11,7 +11,7 @@ use std::f64::consts::PI;
 /// Winding number by definition: the sum of all solid angles.
 fn brute_force(mesh: &Mesh, p: DVec3) -> f64 {
     let oriented = (0..mesh.faces().len() as u32).filter_map(|f| mesh.topology().oriented_face(mesh, f));
-    let corner = |v: u32| mesh.positions()[v as usize].as_dvec3() - p;
+    let corner = |v: u32| mesh.exact_position(v) - p;
     oriented.map(|face| solid_angle(face.map(corner))).sum::<f64>() / (4.0 * PI)
 }
 

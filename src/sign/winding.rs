@@ -76,8 +76,8 @@ impl Pieces {
         let faces = 0..mesh.faces().len() as u32;
         let length = |face: u32| {
             let corners = mesh.triangle(face);
-            let longest = longest_edge(corners).1;
-            (longest > SLIVER * triangle_cross(corners).length()).then_some(longest.sqrt())
+            let (longest, cross) = (longest_edge(corners).1, triangle_cross(corners).length());
+            (cross > 0.0 && longest > SLIVER * cross).then_some(longest.sqrt())
         };
         // A sliver is near in a ball of BETA times half its length. The volume of that ball is 8 times its length
         // cubed.

@@ -216,6 +216,19 @@ def test_a_box_without_a_lid_still_has_an_inside():
     assert_signs(meshes.open_box(), voxel_centres(volume), volume.distances.ravel(), undecided=FAST_WINDING_ERROR)
 
 
+def test_a_surface_that_is_open_without_a_boundary_says_where():
+    """A wall between two edges of a box: three faces meet at each edge of the wall."""
+    vertices, faces = meshes.box()
+    corners = [(-1, -1, -1), (-1, -1, 1), (1, 1, 1), (1, 1, -1)]
+    a, b, c, d = (int(np.abs(vertices - corner).sum(axis=1).argmin()) for corner in corners)
+    walled = vertices, np.vstack([faces, [(a, b, c), (a, c, d)]])
+    for warnings in (fb.bake(walled, 16).report.warnings, fb.query(walled, [(0, 0, 0)]).report.warnings):
+        assert warnings == (
+            "the surface is open (it has no boundary, but 4 edges of more than two faces, which do not pair up): "
+            "inside is where its winding number exceeds 1/2",
+        )
+
+
 def test_the_opening_of_a_cone_of_100_000_slivers_is_exact():
     """The opening covers at most half of the sphere of directions, so the inside is that of the cone with its base."""
     angle = np.linspace(0, 2 * np.pi, 100_000, endpoint=False)
