@@ -5,13 +5,19 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 /// Progress of a long job, and whether it was cancelled.
 ///
-/// Workers call [`Progress::advance`] once per block of work (well under 50 ms each) and stop when it fails.
+/// Workers call [`Progress::advance`] once per block of work, and [`Progress::check`] within a block that may take more
+/// than 50 ms. They stop when it fails. A check reads one flag, so it may run once for each point.
 #[derive(Debug, Default)]
 pub struct Progress {
     done: AtomicU64,
     total: AtomicU64,
-    cancelled: AtomicBool,
+    cancelled: Alone,
 }
+
+/// A flag in a cache line of its own, which writes of `done` do not take from the processors that read the flag.
+#[derive(Debug, Default)]
+#[repr(align(128))]
+struct Alone(AtomicBool);
 
 impl Progress {
     /// Nothing done, total unknown.
@@ -32,12 +38,12 @@ impl Progress {
 
     /// Fails once the job is cancelled.
     pub fn check(&self) -> Result<(), Error> {
-        if self.cancelled.load(Ordering::Relaxed) { Err(Error::Cancelled) } else { Ok(()) }
+        if self.cancelled.0.load(Ordering::Relaxed) { Err(Error::Cancelled) } else { Ok(()) }
     }
 
     /// Requests that the work stops.
     pub fn cancel(&self) {
-        self.cancelled.store(true, Ordering::Relaxed);
+        self.cancelled.0.store(true, Ordering::Relaxed);
     }
 
     /// Fraction of the work done, 0 to 1.

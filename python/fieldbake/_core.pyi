@@ -71,6 +71,7 @@ __all__ = [
     "to_sparse",
     "viewer_shader",
     "viewer_triangles",
+    "watch",
     "winding_number",
 ]
 
@@ -369,6 +370,12 @@ def sample_surface(
 
 def set_threads(count: int) -> None:
     """Number of worker threads of later jobs; 0 for one per core."""
+
+def watch(callback: Callable[[float], object] | None) -> Callable[[float], object] | None:
+    """Pass the finished fraction of later jobs of this thread to a callable, and return the one before.
+
+    A job that has a callable of its own is left out, and so are jobs that the callable starts.
+    """
 
 def cast_rays(
     mesh: Mesh,
@@ -947,12 +954,10 @@ def atlas_entries(
     upper outer corner; ``models``: sixteen numbers each, row by row.
     """
 
-def atlas_shader(
-    language: str, layout: str, page_size: int, gutter: int, encoding: str, side: int, unsigned: bool
-) -> str:
+def atlas_shader(language: str, layout: str, page_size: int, gutter: int, encoding: str, side: int, texels: str) -> str:
     """Sampling functions as text in "wgsl", "glsl", "hlsl" or "msl".
 
-    ``side`` is that of the cubes in strips. ``unsigned`` texels are the integers of a .png.
+    ``side`` is the number of voxels along a side of the cubes in strips. ``texels`` is "pages", "png" or "integers".
     """
 
 def viewer_shader(

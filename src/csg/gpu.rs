@@ -308,7 +308,7 @@ pub(super) fn draw(view: &ShapeView<'_>, context: &Arc<Context>, progress: &Prog
 
     let mut found = vec![CsgPixel::default(); pixel_count];
     context.read("a picture", &pixels, &mut found, progress)?;
-    let mut frame = Frame::new(width as usize, height as usize, lights.len());
+    let mut frame = Frame::new(width as usize, height as usize, lights.len())?;
     context.read("light shares", &shares, &mut frame.shadow, progress)?;
     frame.rows().into_par_iter().enumerate().try_for_each_init(PixelScratch::default, |scratch, (y, mut row)| {
         row.color.as_chunks_mut().0.fill(options.background);

@@ -34,7 +34,7 @@ pub(crate) struct Drawing {
 pub(super) fn draw_on_cpu(view: &ShapeView<'_>, progress: &Progress) -> Result<Drawing, Error> {
     let [width, height] = view.options.size.map(|n| n as usize);
     progress.set_total(height as u64);
-    let mut frame = Frame::new(width, height, view.lights.len());
+    let mut frame = Frame::new(width, height, view.lights.len())?;
     let evaluations = AtomicU64::new(0);
     let [columns, lines] = view.window();
     frame.rows().into_par_iter().enumerate().try_for_each_init(PixelScratch::default, |scratch, (y, mut row)| {

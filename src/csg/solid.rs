@@ -12,7 +12,7 @@ use super::shape::Shape;
 use super::token::Token;
 use crate::error::Error;
 use crate::grid::Grid;
-use crate::memory::allocate_samples;
+use crate::memory::{allocate_samples, zeroed_rows};
 use crate::progress::Progress;
 use crate::simd::with_vectors;
 use glam::DVec3;
@@ -81,7 +81,7 @@ impl Solid {
 
     /// Signed distance, or a bound on it, at world points.
     pub fn distances(&self, points: &[DVec3], progress: &Progress) -> Result<Vec<f32>, Error> {
-        let mut out = vec![0.0f32; points.len()];
+        let mut out = zeroed_rows("results", points.len())?;
         progress.set_total(points.len() as u64);
         out.par_chunks_mut(CHUNK_POINTS).zip(points.par_chunks(CHUNK_POINTS)).try_for_each_init(
             Stack::<f64, LANES>::default,
@@ -105,7 +105,7 @@ impl Solid {
 
     /// Gradient of the field at world points; zero where it is undefined.
     pub fn gradients(&self, points: &[DVec3], progress: &Progress) -> Result<Vec<[f32; 3]>, Error> {
-        let mut out = vec![[0.0f32; 3]; points.len()];
+        let mut out = zeroed_rows("results", points.len())?;
         progress.set_total(points.len() as u64);
         out.par_chunks_mut(CHUNK_POINTS).zip(points.par_chunks(CHUNK_POINTS)).try_for_each_init(
             Stack::<f64, LANES>::default,

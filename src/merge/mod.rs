@@ -32,7 +32,7 @@ pub use placed::{Geometry, Placed};
 use crate::bvh::boxes::{BoxTree, DISTANCE_SLACK};
 use crate::error::{ArgumentError, Error};
 use crate::grid::Grid;
-use crate::memory::{allocate_samples, require};
+use crate::memory::{allocate_samples, require, zeroed_rows};
 use crate::progress::Progress;
 use crate::volume::outside::round_down;
 use glam::DVec3;
@@ -59,8 +59,8 @@ pub fn merge(grid: &Grid, placed: &[Placed<'_>], progress: &Progress) -> Result<
     let merger = Merger::new(grid, placed)?;
     let what = format!("a merged field of {:?} samples", grid.shape);
     require(&what, 8 * grid.len() as u64, 0)?;
-    let mut merged =
-        Merged { distances: allocate_samples(&what, grid.len(), 0)?, owners: vec![0; grid.len()], evaluations: 0 };
+    let distances = allocate_samples(&what, grid.len(), 0)?;
+    let mut merged = Merged { distances, owners: zeroed_rows("owners", grid.len())?, evaluations: 0 };
     merger.for_each_slab(&mut merged, progress, |slab, blocks| {
         let mut evaluations = 0;
         for block in blocks {

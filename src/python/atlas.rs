@@ -9,7 +9,7 @@ use super::error::{Failure, exception};
 use super::run::{run, run_short};
 use crate::atlas::entry::{AtlasEntry, Facts, StripEntry};
 use crate::atlas::sample::{AtlasField, AtlasFilter, texture_coordinates};
-use crate::atlas::shader::{ShaderOptions, shader};
+use crate::atlas::shader::{ShaderOptions, Texels, shader};
 use crate::atlas::texels::{self, Item};
 use crate::atlas::{AtlasBlock, Layout, gpu, plan};
 use crate::encoding::Encoding;
@@ -294,7 +294,7 @@ pub(super) fn atlas_entries<'py>(
     Ok(PyBytes::new(py, &bytes))
 }
 
-/// The sampling functions of an atlas as text; `unsigned` texels are those of a .png.
+/// The sampling functions of an atlas as text.
 #[pyfunction]
 pub(super) fn atlas_shader(
     language: &str,
@@ -303,12 +303,13 @@ pub(super) fn atlas_shader(
     gutter: u32,
     encoding: &str,
     side: u32,
-    unsigned: bool,
+    texels: &str,
 ) -> PyResult<String> {
     let layout = Layout::from_name(layout, gutter).map_err(Failure::from)?;
     let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
     let language = Language::from_name(language).map_err(Failure::from)?;
-    let options = ShaderOptions { layout, encoding, unsigned, page_size, side };
+    let texels = Texels::from_name(texels).map_err(Failure::from)?;
+    let options = ShaderOptions { layout, encoding, texels, page_size, side };
     Ok(shader(&options, language).map_err(Failure::from)?)
 }
 

@@ -177,6 +177,7 @@ pub(super) fn report_dict<'py>(py: Python<'py>, report: &Report) -> PyResult<Bou
     let facts = PyDict::new(py);
     facts.set_item("sign_method", report.sign_method)?;
     facts.set_item("sign_reason", &report.sign_reason)?;
+    facts.set_item("faces", report.faces)?;
     facts.set_item("boundary_edges", report.boundary_edges)?;
     facts.set_item("nonmanifold_edges", report.nonmanifold_edges)?;
     facts.set_item("flipped_faces", report.flipped_faces)?;

@@ -3,6 +3,7 @@
 use super::error::{Failure, exception};
 use crate::error::Error;
 use crate::grid::Grid;
+use crate::memory::space_for;
 use crate::volume::{FieldView, Texel};
 use glam::DVec3;
 use numpy::{
@@ -37,7 +38,10 @@ pub(super) fn positions<'a>(array: &'a PyReadonlyArray2<'_, f64>) -> PyResult<&'
 /// Converts an (n, 3) array of points for the core.
 pub(super) fn points(array: &Bound<'_, PyAny>) -> PyResult<Vec<DVec3>> {
     let array: PyReadonlyArray2<'_, f64> = array.extract()?;
-    Ok(rows(&array, "points")?.iter().copied().map(DVec3::from_array).collect())
+    let rows = rows(&array, "points")?;
+    let mut points = space_for("points", rows.len()).map_err(Failure::from)?;
+    points.extend(rows.iter().copied().map(DVec3::from_array));
+    Ok(points)
 }
 
 /// An (n, 3) array from rows.
@@ -46,7 +50,8 @@ pub(super) fn row_array<'py, T: numpy::Element>(
     rows: impl ExactSizeIterator<Item = [T; 3]>,
 ) -> PyResult<Bound<'py, PyArray2<T>>> {
     let count = rows.len();
-    let flat: Vec<T> = rows.flatten().collect();
+    let mut flat = space_for("numbers", 3 * count).map_err(Failure::from)?;
+    flat.extend(rows.flatten());
     flat.into_pyarray(py).reshape([count, 3])
 }
 

@@ -4,7 +4,7 @@ use super::convert::{Field, grid, points, row_array, volume_array};
 use super::device::choose;
 use super::error::Failure;
 use super::render::{PictureArguments, images_of};
-use super::run::run;
+use super::run::{run, run_owned};
 use crate::csg::decompose::shape_of;
 use crate::csg::draw::{DrawMethod, draw, tracer};
 use crate::csg::part::{Method, structure};
@@ -206,7 +206,7 @@ impl Shape {
     fn decompose<'py>(&self, py: Python<'py>, method: &str) -> PyResult<PartArrays<'py>> {
         let method = Method::from_name(method).map_err(Failure::from)?;
         let solid = self.solid(py)?;
-        let (corners, firsts) = run(py, None, |_| {
+        let (corners, firsts) = run_owned(py, move |_| {
             let parts = solid.parts(method)?;
             let boxes = parts.iter().flat_map(|part| &part.boxes);
             let corners: Vec<f64> = boxes.flatten().flat_map(|corner| corner.to_array()).collect();
@@ -225,7 +225,7 @@ impl Shape {
     fn structures(&self, py: Python<'_>, method: &str) -> PyResult<usize> {
         let method = Method::from_name(method).map_err(Failure::from)?;
         let solid = self.solid(py)?;
-        let count = run(py, None, |_| {
+        let count = run_owned(py, move |_| {
             let parts = solid.parts(method)?;
             let structures: HashSet<_> = parts.iter().map(|part| structure(&solid.model, &part.tokens)).collect();
             Ok::<_, Error>(structures.len())

@@ -2,8 +2,10 @@
 
 use super::convert::{row_array, rows};
 use super::error::Failure;
-use super::run::run;
+use super::run::{run, run_owned};
 use crate::bake::sign_warnings;
+use crate::error::Error;
+use crate::memory::require_rows;
 use crate::mesh;
 use crate::query::{count_self_intersections, deviation};
 use crate::sign::SignMethod;
@@ -14,6 +16,11 @@ use pyo3::types::PyDict;
 use std::sync::{Arc, Mutex, TryLockError};
 use std::time::Duration;
 
+/// Number of faces from which a mesh is made by a job: its checks may last longer than a tenth of a second.
+const LARGE: usize = 1 << 19;
+/// Memory of the arrays of a mesh, bytes for each face.
+const BYTES_PER_INPUT_FACE: usize = 64;
+
 /// Checked triangles; the search tree is built at the first query and kept.
 #[pyclass(frozen, module = "fieldbake._core")]
 pub struct Mesh(pub Arc<mesh::Mesh>);
@@ -23,7 +30,14 @@ impl Mesh {
     #[new]
     fn new(py: Python<'_>, vertices: PyReadonlyArray2<'_, f64>, faces: PyReadonlyArray2<'_, i64>) -> PyResult<Self> {
         let (vertices, faces) = (rows(&vertices, "vertices")?, rows(&faces, "faces")?);
-        let mesh = py.detach(|| mesh::Mesh::new(vertices, faces)).map_err(Failure::from)?;
+        let mesh = if faces.len() < LARGE {
+            py.detach(|| mesh::Mesh::new(vertices, faces)).map_err(Failure::from)?
+        } else {
+            // A job that may be left in the background owns its arrays.
+            require_rows::<[u8; 2 * BYTES_PER_INPUT_FACE]>("faces", faces.len()).map_err(Failure::from)?;
+            let (vertices, faces) = (vertices.to_vec(), faces.to_vec());
+            run_owned(py, move |_| Ok(mesh::Mesh::new(&vertices, &faces)?))?
+        };
         Ok(Self(Arc::new(mesh)))
     }
 
@@ -89,7 +103,8 @@ impl Mesh {
     /// The mesh with its kept vertices at other positions (n, 3).
     fn moved(&self, py: Python<'_>, vertices: PyReadonlyArray2<'_, f64>) -> PyResult<Self> {
         let vertices = rows(&vertices, "vertices")?;
-        let moved = run(py, None, |_| Ok(self.0.moved(vertices)))?;
+        let (mesh, vertices) = (self.0.clone(), vertices.to_vec());
+        let moved = run_owned(py, move |_| Ok(mesh.moved(&vertices)))?;
         Ok(Self(Arc::new(moved.map_err(Failure::from)?)))
     }
 
@@ -132,12 +147,20 @@ impl Mesh {
         facts.set_item("nonmanifold_edges", topology.nonmanifold_edges)?;
         facts.set_item("flipped_faces", topology.flipped_faces)?;
         facts.set_item("duplicate_faces", topology.duplicate_faces)?;
-        facts.set_item("degenerate_faces", self.0.degenerate_faces().len())?;
+        facts.set_item("degenerate_faces", self.0.degenerate_faces())?;
         facts.set_item("dropped_vertices", self.0.dropped_vertices())?;
         facts.set_item("components", topology.components)?;
         facts.set_item("closed", topology.closed)?;
         Ok(facts)
     }
+}
+
+/// Memory of the tree and the connectivity of a mesh while they are built, bytes for each face.
+const BYTES_PER_FACE: usize = 320;
+
+/// Fails if there is no memory for the tree and the connectivity of a mesh.
+fn require(mesh: &mesh::Mesh) -> Result<(), Error> {
+    require_rows::<[u8; BYTES_PER_FACE]>("faces in a search tree", mesh.faces().len())
 }
 
 impl Mesh {
@@ -154,8 +177,10 @@ impl Mesh {
                     Err(TryLockError::WouldBlock) => py.detach(|| std::thread::sleep(Duration::from_millis(1))),
                 }
             };
-            run(py, None, |_| {
-                rayon::join(|| self.0.bvh(), || self.0.topology());
+            let mesh = self.0.clone();
+            run_owned(py, move |_| {
+                require(&mesh)?;
+                rayon::join(|| mesh.bvh(), || mesh.topology());
                 Ok(())
             })?;
         }

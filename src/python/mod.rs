@@ -59,7 +59,7 @@ mod _core {
     #[pymodule_export]
     use super::render::{raymarch, raymarch_nested};
     #[pymodule_export]
-    use super::run::set_threads;
+    use super::run::{set_threads, watch};
     #[pymodule_export]
     use super::scene::{Renderer, Scene, SceneField, SceneMesh, Texture};
     #[pymodule_export]

@@ -7,7 +7,7 @@ use super::error::Failure;
 use super::mesh::Mesh;
 use super::quadric::quadric_rows;
 use super::render::{camera, frame_dict};
-use super::run::run;
+use super::run::{run, run_owned};
 use super::sparse::SparseField;
 use crate::error::SceneError;
 use crate::quadric::Quadrics;
@@ -83,7 +83,7 @@ impl SceneField {
     #[staticmethod]
     fn shape(py: Python<'_>, shape: &Shape) -> PyResult<Self> {
         let solid = shape.solid(py)?;
-        Ok(Self(Arc::new(run(py, None, |_| ShapeField::new(solid))?)))
+        Ok(Self(Arc::new(run_owned(py, move |_| ShapeField::new(solid))?)))
     }
 }
 

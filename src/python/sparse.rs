@@ -15,7 +15,7 @@ use crate::sign::SignMethod;
 use crate::surface::LevelSurface;
 use crate::volume::sparse::build::SparseOptions;
 use crate::volume::sparse::{BRICK_LEN, BRICK_SAMPLES, SparseField as Sparse, brick_counts, node_grid};
-use crate::volume::{SampleFilter, Texel, Trilinear};
+use crate::volume::{SampleFilter, Texel, Trilinear, convert};
 use glam::DVec3;
 use half::f16;
 use numpy::{
@@ -332,10 +332,8 @@ pub(super) fn encode<'py>(
     let [x, y, z] = std::array::from_fn(|axis| distances.shape()[axis]);
     macro_rules! encoded {
         ($texel:ty) => {{
-            let texels: Vec<$texel> = run(py, None, |_| {
-                use rayon::prelude::*;
-                Ok(samples.par_iter().map(|&sample| Texel::encode(sample, scale)).collect())
-            })?;
+            let texels: Vec<$texel> =
+                run(py, None, |progress| convert(samples, progress, |d| Texel::encode(d, scale)))?;
             Ok(texels.into_pyarray(py).reshape([z, y, x])?.permute(Some([2, 1, 0]))?.into_any())
         }};
     }
@@ -357,7 +355,7 @@ pub(super) fn decode<'py>(
     with_texels!(texels, PyReadonlyArray3, |array| {
         let shape = std::array::from_fn(|axis| array.shape()[axis]);
         let field = Field::encoded(&array, [0.0; 3], [1.0; 3], scale)?;
-        let samples = run(py, None, |_| Ok(field.view()?.decoded()))?;
+        let samples = run(py, None, |progress| field.view()?.decoded(progress))?;
         volume_array(py, samples, shape)
     })
 }

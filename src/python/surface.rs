@@ -4,7 +4,7 @@ use super::convert::{Field, grid, owned_rows, points, rows, with_texels};
 use super::csg::Shape;
 use super::error::{Failure, exception};
 use super::mesh::Mesh;
-use super::run::run;
+use super::run::{run, run_owned};
 use super::sparse::SparseField;
 use crate::csg::{level_surface, planes_around_of_shape, planes_of_shape};
 use crate::error::{ArgumentError, Error};
@@ -14,11 +14,11 @@ use glam::DVec3;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use rayon::prelude::*;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// The crossed cells of a level set and the tangent planes at their crossed edges. Making the mesh frees them.
 #[pyclass(frozen, module = "fieldbake._core")]
-pub struct Surface(Mutex<Option<State>>);
+pub struct Surface(Arc<Mutex<Option<State>>>);
 
 struct State {
     surface: LevelSurface,
@@ -28,20 +28,24 @@ struct State {
 }
 
 impl Surface {
-    fn new(surface: LevelSurface) -> Self {
-        let crossings = surface.crossings();
-        Self(Mutex::new(Some(State { surface, crossings, extra: ExtraPlanes::default(), probes: Probes::default() })))
+    fn new(py: Python<'_>, surface: LevelSurface) -> PyResult<Self> {
+        let state = run_owned(py, move |_| {
+            let crossings = surface.crossings();
+            Ok(State { surface, crossings, extra: ExtraPlanes::default(), probes: Probes::default() })
+        })?;
+        Ok(Self(Arc::new(Mutex::new(Some(state)))))
     }
 
     /// Calls `change` without the interpreter lock.
-    fn with<T: Send>(
+    fn with<T: Send + 'static>(
         &self,
         py: Python<'_>,
-        change: impl FnOnce(&mut State, &Progress) -> Result<T, Error> + Send,
+        change: impl FnOnce(&mut State, &Progress) -> Result<T, Error> + Send + 'static,
     ) -> PyResult<T> {
-        Ok(run(py, None, |progress| {
+        let state = self.0.clone();
+        Ok(run_owned(py, move |progress| {
             // A panic leaves every plane complete, so the data stay valid.
-            let mut state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut state = state.lock().unwrap_or_else(PoisonError::into_inner);
             change(state.as_mut().ok_or_else(mesh_was_made)?, progress)
         })?)
     }
@@ -66,7 +70,7 @@ impl Surface {
     ) -> PyResult<Self> {
         with_texels!(distances, PyReadonlyArray3, |array| {
             let field = Field::encoded(&array, lower, upper, scale)?;
-            Ok(run(py, None, |progress| Ok(Self::new(LevelSurface::of_field(&field.view()?, level, progress)?)))?)
+            Self::new(py, run(py, None, |progress| LevelSurface::of_field(&field.view()?, level, progress))?)
         })
     }
 
@@ -74,7 +78,7 @@ impl Surface {
     #[staticmethod]
     fn of_sparse(py: Python<'_>, field: PyRef<'_, SparseField>, level: f32) -> PyResult<Self> {
         let field = &*field;
-        Ok(run(py, None, |progress| Ok(Self::new(field.surface(level, progress)?)))?)
+        Self::new(py, run(py, None, |progress| field.surface(level, progress))?)
     }
 
     /// The level set of a shape on a grid.
@@ -88,13 +92,13 @@ impl Surface {
         level: f32,
     ) -> PyResult<Self> {
         let (solid, grid) = (shape.solid(py)?, grid(lower, upper, voxels)?);
-        Ok(run(py, None, |progress| Ok(Self::new(level_surface(&solid, &grid, level, progress)?)))?)
+        Self::new(py, run_owned(py, move |progress| level_surface(&solid, &grid, level, progress))?)
     }
 
     /// Uses the tangent planes of the level set of a shape, and joins those around all vertices.
     fn use_shape(&self, py: Python<'_>, shape: PyRef<'_, Shape>, level: f64) -> PyResult<()> {
         let solid = shape.solid(py)?;
-        self.with(py, |state, progress| {
+        self.with(py, move |state, progress| {
             let State { surface, crossings, .. } = state;
             planes_of_shape(surface, crossings, &solid, level, progress)?;
             state.extra = planes_around_of_shape(surface, crossings, &solid, level, progress)?;
@@ -108,7 +112,7 @@ impl Surface {
         &self,
         py: Python<'py>,
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
-        let (starts, ends, shares) = self.with(py, |state, _| {
+        let (starts, ends, shares) = self.with(py, move |state, _| {
             let edges = (0..state.crossings.len()).into_par_iter().map(|edge| state.surface.edge(edge));
             let (starts, ends) = edges.map(|edge| (edge.start.to_array(), edge.at(1.0).to_array())).unzip();
             Ok((starts, ends, state.crossings.iter().map(|crossing| f64::from(crossing.share)).collect::<Vec<_>>()))
@@ -120,7 +124,7 @@ impl Surface {
     #[pyo3(signature = (mesh, offset, *, unsigned=false))]
     fn use_mesh(&self, py: Python<'_>, mesh: PyRef<'_, Mesh>, offset: f64, unsigned: bool) -> PyResult<()> {
         let mesh = mesh.0.clone();
-        self.with(py, |state, progress| {
+        self.with(py, move |state, progress| {
             surface::planes_of_mesh(&state.surface, &mut state.crossings, &mesh, offset, unsigned, progress)
         })
     }
@@ -129,7 +133,7 @@ impl Surface {
     /// `inward` tells that their normals point to the inside.
     fn join_mesh(&self, py: Python<'_>, mesh: PyRef<'_, Mesh>, inward: bool) -> PyResult<()> {
         let mesh = mesh.0.clone();
-        self.with(py, |state, progress| {
+        self.with(py, move |state, progress| {
             state.extra = surface::planes_around_of_mesh(&state.surface, &state.crossings, &mesh, inward, progress)?;
             Ok(())
         })
@@ -139,7 +143,7 @@ impl Surface {
     /// none, if the distance is too small for that.
     fn join_offset(&self, py: Python<'_>, mesh: PyRef<'_, Mesh>, offset: f64, unsigned: bool) -> PyResult<bool> {
         let mesh = mesh.0.clone();
-        self.with(py, |state, progress| {
+        self.with(py, move |state, progress| {
             let State { surface, crossings, .. } = state;
             let planes = surface::planes_around_of_offset(surface, crossings, &mesh, offset, unsigned, progress)?;
             let is_joined = planes.is_some();
@@ -155,7 +159,7 @@ impl Surface {
         #[pyo3(from_py_with = points)] points: Vec<DVec3>,
         #[pyo3(from_py_with = points)] normals: Vec<DVec3>,
     ) -> PyResult<()> {
-        self.with(py, |state, _| {
+        self.with(py, move |state, _| {
             check_rows(&points, &normals, state.crossings.len())?;
             let rows = points.par_iter().zip(&normals).enumerate();
             state.crossings.par_iter_mut().zip(rows).for_each(|(crossing, (edge, (&point, normal)))| {
@@ -171,7 +175,7 @@ impl Surface {
     /// parts.
     #[pyo3(signature = (*, sharp_only=false))]
     fn probes<'py>(&self, py: Python<'py>, sharp_only: bool) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let points = self.with(py, |state, _| {
+        let points = self.with(py, move |state, _| {
             state.probes = state.surface.probes(&state.crossings, &state.extra, sharp_only);
             Ok(bytemuck::cast_slice(&state.probes.points).to_vec())
         })?;
@@ -185,7 +189,7 @@ impl Surface {
         #[pyo3(from_py_with = points)] points: Vec<DVec3>,
         #[pyo3(from_py_with = points)] normals: Vec<DVec3>,
     ) -> PyResult<()> {
-        self.with(py, |state, _| {
+        self.with(py, move |state, _| {
             let State { surface, crossings, extra, probes } = state;
             check_rows(&points, &normals, probes.points.len())?;
             *extra = surface.join_planes(crossings, extra, probes, &points, &normals);
@@ -203,8 +207,9 @@ impl Surface {
         sharp: bool,
         capped: bool,
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<i64>>, usize)> {
-        let (vertices, faces, clamped) = run(py, None, |_| {
-            let state = self.0.lock().unwrap_or_else(PoisonError::into_inner).take().ok_or_else(mesh_was_made)?;
+        let state = self.0.lock().unwrap_or_else(PoisonError::into_inner).take().ok_or_else(mesh_was_made);
+        let state = state.map_err(Failure::from)?;
+        let (vertices, faces, clamped) = run_owned(py, move |_| {
             let State { surface, crossings, extra, .. } = state;
             let mesh = surface.into_mesh(crossings, extra, MeshOptions { sharp, capped });
             // The constructor of meshes takes int64.
@@ -258,9 +263,8 @@ impl SurfaceBlocks {
 
     /// The level set in all blocks, which are freed.
     fn surface(&self, py: Python<'_>) -> PyResult<Surface> {
-        Ok(run(py, None, |_| {
-            let blocks = self.0.lock().unwrap_or_else(PoisonError::into_inner).take().ok_or_else(mesh_was_made)?;
-            Ok(Surface::new(blocks.surface()))
-        })?)
+        let blocks = self.0.lock().unwrap_or_else(PoisonError::into_inner).take().ok_or_else(mesh_was_made);
+        let blocks = blocks.map_err(Failure::from)?;
+        Surface::new(py, run_owned(py, move |_| Ok(blocks.surface()))?)
     }
 }

@@ -82,7 +82,7 @@ pub(super) fn draw(context: &Context, view: &QuadricView<'_>, progress: &Progres
 
     let mut found = vec![QuadricPixel::default(); pixel_count];
     context.read("a picture", &pixels, &mut found, progress)?;
-    let mut frame = Frame::new(width as usize, height as usize, lights.len());
+    let mut frame = Frame::new(width as usize, height as usize, lights.len())?;
     context.read("light shares", &shares, &mut frame.shadow, progress)?;
     for (y, mut row) in frame.rows().into_iter().enumerate() {
         for (x, pixel) in found[y * width as usize..][..width as usize].iter().enumerate() {

@@ -103,7 +103,9 @@ pub fn raymarch_view<T: Texel>(
             let upload = || MarchedField::encoded(context, field);
             draw_on_device(upload, field.grid(), camera, options, progress)
         }
-        Place::Gpu(_) => raymarch_at(place, Source::Host(&field.decoded()), field.grid(), camera, options, progress),
+        Place::Gpu(_) => {
+            raymarch_at(place, Source::Host(&field.decoded(progress)?), field.grid(), camera, options, progress)
+        }
     }
 }
 

@@ -1,6 +1,7 @@
 //! Pictures as arrays.
 
 use crate::error::Error;
+use crate::memory::require_for;
 use crate::progress::Progress;
 use rayon::prelude::*;
 
@@ -40,9 +41,11 @@ pub(crate) struct Row<'a> {
 
 impl Frame {
     /// A picture without any hit.
-    pub(crate) fn new(width: usize, height: usize, lights: usize) -> Self {
+    pub(crate) fn new(width: usize, height: usize, lights: usize) -> Result<Self, Error> {
         let pixels = width * height;
-        Self {
+        let bytes = (4 * (10 + lights) * pixels) as u64;
+        require_for(&format!("a picture of {width} x {height} pixels"), bytes, bytes / 2, "draw fewer pixels")?;
+        Ok(Self {
             width,
             height,
             lights,
@@ -52,7 +55,7 @@ impl Frame {
             object_id: vec![-1; pixels],
             shadow: vec![1.0; lights * pixels],
             steps: vec![0; pixels],
-        }
+        })
     }
 
     /// A picture that `draw_pixel` fills one pixel at a time: pixel `x` of row `y`, initialised to "no hit". Runs on
@@ -65,7 +68,7 @@ impl Frame {
     ) -> Result<Self, Error> {
         let [width, height] = size.map(|n| n as usize);
         progress.set_total(height as u64);
-        let mut frame = Self::new(width, height, lights);
+        let mut frame = Self::new(width, height, lights)?;
         frame.rows().into_par_iter().enumerate().try_for_each(|(y, mut row)| {
             for x in 0..width {
                 draw_pixel(x, y, &mut row);

@@ -51,7 +51,7 @@ pub(super) fn raymarch(
     let kernel = context.kernel(field.kernel, "main")?;
     let group = context.bind_resources("raymarch", &kernel, shared.chain(field.resources()))?;
     progress.set_total(u64::from(height));
-    let mut frame = Frame::new(width as usize, height as usize, lights.len());
+    let mut frame = Frame::new(width as usize, height as usize, lights.len())?;
     let mut found = vec![Pixel::default(); band_pixels];
     for band_start in (0..height).step_by(band_rows as usize) {
         let band_end = height.min(band_start + band_rows);

@@ -21,6 +21,7 @@ use super::light_buffer::{LightBuffer, LightSample};
 use super::lit_surface::{Lights, LitSurface};
 use super::pass::Pass;
 use crate::error::Error;
+use crate::memory::zeroed_rows;
 use crate::render::Frame;
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
@@ -35,8 +36,8 @@ pub(crate) fn compose(
     let &Pass { casters, buffer, lights, options, progress, .. } = pass;
     let scene = casters.scene;
     let [width, height] = options.size.map(|n| n as usize);
-    let mut frame = Frame::new(width, height, lights.lights.len());
-    let mut rays = vec![0; width * height];
+    let mut frame = Frame::new(width, height, lights.lights.len())?;
+    let mut rays = zeroed_rows("pixels", width * height)?;
     frame.rows().into_par_iter().zip(rays.par_chunks_mut(width)).enumerate().try_for_each(|(y, (row, rays))| {
         row.steps.copy_from_slice(&buffer.steps[y]);
         let layers = &buffer.rows[y];
@@ -75,7 +76,7 @@ pub(crate) fn compose(
             let pixel = [rgb.x, rgb.y, rgb.z, color.w + passes * behind.w];
             row.color[4 * x..][..4].copy_from_slice(&pixel);
         }
-        progress.check()
+        progress.advance(1)
     })?;
     Ok((frame, rays))
 }

@@ -26,6 +26,7 @@ use super::{MAX_BOUNCES, MAX_LIGHTS, Primary, RenderOptions, Scene, SceneShadows
 use crate::error::{DeviceError, Error, SceneError};
 use crate::gpu::buffer::Counters;
 use crate::gpu::{Context, Place};
+use crate::memory::require_for;
 use crate::progress::Progress;
 use crate::render::{Camera, Frame};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -72,6 +73,9 @@ impl Renderer {
         progress: &Progress,
     ) -> Result<Rendered, Error> {
         check(scene, options)?;
+        let [width, height] = options.size.map(u64::from);
+        let what = format!("a picture of {width} x {height} pixels");
+        require_for(&what, PIXEL_BYTES * width * height, 0, "draw fewer pixels")?;
         if let (Place::Gpu(context), SceneShadows::Article) = (place, options.shadows) {
             let reason = "the article's march runs on the CPU only; use device=\"cpu\"".to_owned();
             return Err(DeviceError::NotAvailable { requested: context.label(), reason }.into());
@@ -191,11 +195,12 @@ fn draw(
         Some(last) => (Some(last.buffer), None, [0; 2]),
     };
     let reused = [last_buffer.is_some(), last_light.is_some()];
-    // Each pass advances the progress by one for each row in which it finds surfaces, and by more for each row in which
-    // it finds their light.
+    // Each pass advances the progress by one for each row in which it finds surfaces, by more for each row in which it
+    // finds their light, and by one for each row that it shades. A frame that reuses both shades only.
     let draws = u64::from(passes) - u64::from(reused[0]);
     let finds = evaluation::find_count(options, passes, reused[1]);
-    progress.set_total((draws + finds * evaluation::FIND_WORTH) * u64::from(options.size[1]));
+    let shades = u64::from(passes);
+    progress.set_total((draws + finds * evaluation::FIND_WORTH + shades) * u64::from(options.size[1]));
 
     let casters = Casters { scene, far, near: None };
     let light_device = device.filter(|device| device.knows_all());
@@ -291,6 +296,9 @@ fn draw(
     };
     Ok((rendered, picture))
 }
+
+/// Memory of the surfaces of a picture, their light and the images, bytes for each pixel.
+const PIXEL_BYTES: u64 = 256;
 
 /// Largest number of pixels of a picture, as for volumes.
 const MAX_PIXELS: u64 = 1 << 28;

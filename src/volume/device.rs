@@ -5,7 +5,7 @@
 
 use crate::error::{DeviceError, Error};
 use crate::gpu::Context;
-use crate::memory::{allocate_samples, require};
+use crate::memory::{allocate_samples, require_for_device};
 use crate::progress::Progress;
 use std::sync::Arc;
 
@@ -36,7 +36,7 @@ impl DeviceField {
         let total = (nx * ny * nz) as u64 * SAMPLE;
         if !context.info.hardware {
             // An emulated device would grant more memory than the machine has.
-            require(&what, total, 0)?;
+            require_for_device(&what, total)?;
         }
         let plane_bytes = (nx * ny) as u64 * SAMPLE;
         context.check_size(&format!("a plane of {nx} x {ny} samples"), plane_bytes)?;

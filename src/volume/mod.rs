@@ -38,10 +38,29 @@ pub use trilinear::{Cell, SampleFilter, Trilinear, trilinear, trilinear_gradient
 
 use crate::error::{ArgumentError, Error};
 use crate::grid::Grid;
-use crate::memory::prefetch;
+use crate::memory::{prefetch, zeroed_rows};
+use crate::progress::Progress;
 use crate::simd::with_vectors;
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
+
+/// Number of samples that are converted between two checks of the progress.
+const CONVERTED: usize = 1 << 18;
+
+/// Converts samples to another encoding, one by one.
+pub fn convert<A: Copy + Sync, B: bytemuck::Zeroable + Send>(
+    samples: &[A],
+    progress: &Progress,
+    convert: impl Fn(A) -> B + Sync,
+) -> Result<Vec<B>, Error> {
+    progress.set_total(samples.len() as u64);
+    let mut out = zeroed_rows("samples", samples.len())?;
+    out.par_chunks_mut(CONVERTED).zip(samples.par_chunks(CONVERTED)).try_for_each(|(out, samples)| {
+        out.iter_mut().zip(samples).for_each(|(out, &sample)| *out = convert(sample));
+        progress.advance(samples.len() as u64)
+    })?;
+    Ok(out)
+}
 
 /// A grid and its distances, x fastest, in any encoding.
 #[derive(Debug, Clone, Copy)]
@@ -88,8 +107,8 @@ impl<'a, T: Texel> FieldView<'a, T> {
     }
 
     /// The samples decoded to f32.
-    pub fn decoded(&self) -> Vec<f32> {
-        self.texels.par_iter().map(|texel| texel.decode(self.scale)).collect()
+    pub fn decoded(&self, progress: &Progress) -> Result<Vec<f32>, Error> {
+        convert(self.texels, progress, |texel| texel.decode(self.scale))
     }
 
     /// Scale of the stored samples.

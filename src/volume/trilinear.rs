@@ -2,7 +2,7 @@
 
 use crate::error::{ArgumentError, Error, choice};
 use crate::grid::Grid;
-use crate::memory::zeroed_result;
+use crate::memory::zeroed_rows;
 use crate::progress::Progress;
 use bytemuck::Zeroable;
 use glam::{DVec3, IVec3, Vec3};
@@ -215,7 +215,7 @@ fn batch<T: Zeroable + Copy + Send>(
     evaluate: impl Fn(&[DVec3], &mut [T]) + Sync,
 ) -> Result<Vec<T>, Error> {
     progress.set_total(points.len() as u64);
-    let mut values = zeroed_result(points.len());
+    let mut values = zeroed_rows("results", points.len())?;
     values.par_chunks_mut(CHUNK_POINTS).zip(points.par_chunks(CHUNK_POINTS)).try_for_each(|(values, points)| {
         evaluate(points, values);
         progress.advance(points.len() as u64)

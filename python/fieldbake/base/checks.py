@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 import os
+import stat
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import ArgumentError, Error
+from .. import _core
+from .errors import ArgumentError, CapacityError, Error
 
 #: Largest magnitude of a number or coordinate. Sums and differences of such values still fit in float32.
 FAR = 1e37
+
+#: Number of values from which a copy is compared with the free memory first.
+LONG = 1 << 24
 
 
 def describe(value: object) -> str:
@@ -95,7 +100,14 @@ def as_array(value: object) -> NDArray[Any]:
 
 
 def as_float64(array: NDArray[Any]) -> NDArray[np.float64]:
-    """Convert to C-contiguous float64. Values out of its range become infinite, and later checks report them."""
+    """Convert to C-contiguous float64. Values out of its range become infinite, and later checks report them.
+
+    A long array is copied only if the memory suffices: the values of a broadcast array may take a million times the
+    memory of the array.
+    """
+    if array.size >= LONG and not (array.dtype == np.float64 and array.flags.c_contiguous):
+        what = f"a float64 array of shape {array.shape}"
+        _core.require_memory(what, 8 * array.size, "pass fewer values at a time")
     with np.errstate(over="ignore", invalid="ignore"):
         return np.ascontiguousarray(array, dtype=np.float64)
 
@@ -145,6 +157,18 @@ def path(value: object, name: str = "path", error: type[Error] = ArgumentError) 
     return Path(text)
 
 
+def finite_file(file: Path, error: type[Error]) -> None:
+    """Raise if a path is that of a pipe or a device, whose content may never come or never end."""
+    kind = file.stat().st_mode
+    if not (stat.S_ISREG(kind) or stat.S_ISDIR(kind)):
+        raise error(f"{file}: is a pipe or a device, not a file; copy its content to a file first")
+
+
+def too_large(file: Path) -> CapacityError:
+    """Make the error for a file whose content does not fit in memory."""
+    return CapacityError(f"{file}: needs more memory to read than is free ({file.stat().st_size} bytes)")
+
+
 def items(name: str, value: Any, of: str, error: type[Error] = ArgumentError) -> Iterator[Any]:
     """Return an iterator over a value that is neither text nor a path; ``of`` names the items in the message."""
     try:
@@ -170,7 +194,7 @@ def points(value: object, name: str = "points") -> tuple[NDArray[np.float64], tu
         array = array.reshape(0, 3)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise ArgumentError(f"{name}: must have shape (n, 3), got {describe(array)}")
-    flat = as_float64(array.reshape(-1, 3))
+    flat = as_float64(array).reshape(-1, 3)
     # Reductions need no temporary array. Both comparisons are false for nan.
     if flat.size and not (flat.min() >= -FAR and flat.max() <= FAR):
         row = int(np.flatnonzero(~(np.abs(flat) <= FAR).all(axis=1))[0])

@@ -100,7 +100,9 @@ class FormatError(Error, ValueError):
 
 
 class SurfaceWarning(UserWarning):
-    """A surface whose inside is ambiguous: it is open, inside out, or has flipped or one-sided parts.
+    """A surface whose inside is ambiguous, or a solid with faces that pass through each other or a wall below a voxel.
+
+    The inside is ambiguous if the surface is open, inside out, or has flipped or one-sided parts.
 
     Examples
     --------
@@ -113,6 +115,10 @@ class SurfaceWarning(UserWarning):
     >>> caught[0].category.__name__
     'SurfaceWarning'
     """
+
+
+class MaterialWarning(UserWarning):
+    """Properties of the materials of a file that pictures do not show."""
 
 
 class DeviceError(Error, RuntimeError):

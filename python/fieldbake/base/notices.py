@@ -11,12 +11,17 @@ from .errors import SurfaceWarning
 PACKAGE = __name__.partition(".")[0]
 
 
-def warn_surface(messages: Sequence[str]) -> None:
-    """Issue one `SurfaceWarning` with all messages about the surface, if there are any.
+def about_surface(messages: Sequence[str]) -> list[str]:
+    """List the warnings of a report that are about the surface.
 
-    Messages about the device start with ``device=`` and are left out; they have become a `PerformanceWarning`.
+    Messages about the device start with ``device=``; they have become a `PerformanceWarning`.
     """
-    of_surface = [message for message in messages if not message.startswith("device=")]
+    return [message for message in messages if not message.startswith("device=")]
+
+
+def warn_surface(messages: Sequence[str]) -> None:
+    """Issue one `SurfaceWarning` with all messages about the surface, if there are any."""
+    of_surface = about_surface(messages)
     if of_surface:
         warnings.warn("; ".join(of_surface), SurfaceWarning, stacklevel=_depth_of_caller())
 

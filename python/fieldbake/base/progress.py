@@ -6,8 +6,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from contextvars import ContextVar
 from typing import Any
 
+from .. import _core
 from . import checks
 from .errors import ArgumentError
 
@@ -37,6 +39,63 @@ def progress_callback(progress: Progress, label: str) -> Iterator[Callable[[floa
         yield progress
     else:
         raise ArgumentError(f"progress: must be True, False, None or a callable, got {checks.describe(progress)}")
+
+
+class _Whole:
+    """Progress of work that consists of several jobs of the core. The fraction never decreases."""
+
+    def __init__(self, callback: Callable[[float], object]) -> None:
+        self._callback = callback
+        self._reached = 0.0
+        #: Fractions of the whole at the start and at the end of the current part.
+        self.range = (0.0, 1.0)
+
+    def __call__(self, fraction: float) -> None:
+        first, last = self.range
+        self._reached = max(self._reached, first + (last - first) * fraction)
+        self._callback(self._reached)
+
+
+_whole: ContextVar[_Whole | None] = ContextVar("whole", default=None)
+
+
+@contextmanager
+def watched(progress: Progress, label: str) -> Iterator[None]:
+    """Report the progress of all jobs of the core in the block as one; `part` divides it.
+
+    Parameters
+    ----------
+    progress, label
+        As for `progress_callback`.
+    """
+    with progress_callback(progress, label) as callback:
+        if callback is None:
+            yield
+            return
+        whole = _Whole(callback)
+        token = _whole.set(whole)
+        watcher = _core.watch(whole)
+        try:
+            yield
+        finally:
+            _core.watch(watcher)
+            _whole.reset(token)
+        callback(1.0)
+
+
+@contextmanager
+def part(first: float, last: float) -> Iterator[None]:
+    """Run a part of the work in a `watched` block: jobs advance it from one fraction of the outer part to another."""
+    whole = _whole.get()
+    if whole is None:
+        yield
+        return
+    outer = low, high = whole.range
+    whole.range = (low + (high - low) * first, low + (high - low) * last)
+    try:
+        yield
+    finally:
+        whole.range = outer
 
 
 def _bar(stack: ExitStack, label: str, delay: float) -> Callable[[float], object]:

@@ -60,14 +60,16 @@ class Report(Rows):
         Whether the surface has no opening: after the repairs counted here, faces traverse every edge equally often
         in both directions.
     faces, vertices : int
-        Number of faces and vertices that were used.
+        Number of faces with an area, and of vertices that were used.
     boundary_edges, nonmanifold_edges, flipped_faces, duplicate_faces, components : int
         Counts for the surface after equal positions were welded.
     degenerate_faces, dropped_vertices : int
-        Number of faces without area, and of unused vertices that are not finite; both are left out.
+        Number of faces without area, and of unused vertices that are not finite. Vertices and faces with a repeated
+        position are left out; faces whose corners lie on a line are line segments.
     undecided_voxels, inside_voxels : int
         Number of voxels where the sign method was close to undecided, for instance by a winding number near 1/2, and
-        of voxels with a negative distance. Both are 0 for a Zarr store, whose report is written before its shards.
+        of voxels with a negative distance. Both are 0 for a Zarr store, whose report is written before its shards. In
+        the ledger of training samples the first is the number of such points.
     chord_error : float
         Largest distance between the mesh and the solid that it was tessellated from, world units; 0 for other meshes.
     points, inside_points : int
@@ -130,7 +132,7 @@ class Report(Rows):
     @classmethod
     def of_mesh(cls, mesh: Any, facts: Mapping[str, Any]) -> Report:
         """Combine the facts of the core with those of the mesh they describe."""
-        sizes = {"faces": len(mesh.faces), "vertices": len(mesh.vertices), "chord_error": mesh.chord_error}
+        sizes = {"vertices": len(mesh.vertices), "chord_error": mesh.chord_error}
         return cls.from_dict({**facts, **sizes})
 
     def to_dict(self) -> dict[str, Any]:
@@ -189,6 +191,9 @@ class SurfaceReport:
     clamped_vertices : int
         Number of vertices that are not at the nearest point to their tangent planes: it lies outside their cell, and a
         face would fold there, or a sample would change its side.
+    warnings : tuple of str
+        Reasons why the surface may not be the wanted one. Each is also issued as a :class:`SurfaceWarning`.
     """
 
     clamped_vertices: int = 0
+    warnings: tuple[str, ...] = field(default=(), kw_only=True)

@@ -43,10 +43,11 @@ class Viewable(Pictured):
             The file to write. The text is returned in any case.
         camera : fieldbake.Camera, optional
             The first view, a perspective camera. The default is that of :func:`fieldbake.raymarch`: it fits the
-            surface.
+            surface. A scene has its own first camera; if its objects cover less than half of the picture, the view has
+            the direction of that camera and fits them.
         encoding : "snorm8", "float16" or "float32", default "snorm8"
             How samples are stored on the page, as :meth:`Volume.quantize` does: 1, 2 or 4 bytes each before
-            compression. Quantised volumes stay as they are; shapes and quadrics have no samples.
+            compression. Quantised volumes stay as they are; quadrics, and shapes of at most 64 nodes, have no samples.
         size : (width, height), default (640, 480)
             Size of the canvas, CSS pixels.
 
@@ -73,8 +74,10 @@ class Viewable(Pictured):
         -----
         A mesh is drawn by its field of 128 voxels along the longest side, as :func:`fieldbake.raymarch` draws it, and a
         mesh in a Scene by the field of its instance. A shape with more than 64 nodes, or with a baked volume in it, is
-        drawn by a volume of 192 voxels. Shadows are hard, colours are those of materials and paint; textures, opacity
-        and scattering are those of :func:`fieldbake.render` alone.
+        drawn by a volume of 192 voxels along the longest side. The title on the page states the field that is drawn in
+        place of the object, and the line below the picture states that a mesh is open or has textures. Shadows are
+        hard, colours are those of materials and paint; textures, opacity and scattering are those of
+        :func:`fieldbake.render` alone.
         Where the browser has no WebGL 2, or forbids scripts, the page shows a picture.
         """
         from ..viewing import hosts
