@@ -11,6 +11,9 @@ use naga::back::glsl::Version;
 use naga::{Module, ShaderStage, TypeInner};
 use std::collections::HashMap;
 
+/// The bound outside the box of a stored field, with the names of [`Library::Volume`]; twin of src/volume/outside.rs.
+const OUTSIDE: &str = include_str!("../shaders/library/outside.wgsl");
+
 /// Shader functions that evaluate stored fields or quadrics. Their constants are written in front.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Library {
@@ -53,10 +56,24 @@ impl Library {
         }
     }
 
-    /// The text in a language. `head` is WGSL: a comment and the constants that the functions read.
+    /// Prefix of the names of a stored field.
+    fn prefix(self) -> Option<&'static str> {
+        match self {
+            Self::Volume => Some("field"),
+            Self::Sparse => Some("sparse"),
+            Self::Nested => Some("nested"),
+            Self::Quadrics => None,
+        }
+    }
+
+    /// The text in a language. `head` is WGSL: a comment, and the constants and textures that the functions read.
     pub(crate) fn text(self, head: &str, language: Language) -> Result<String, Error> {
         let (functions, calls) = self.source();
-        text_without_entry(&format!("{head}\n{functions}"), calls, language)
+        let outside = self.prefix().map(|prefix| {
+            let renamed = OUTSIDE.replace("field_", &format!("{prefix}_"));
+            format!("\n{}", renamed.replace("FIELD_", &format!("{}_", prefix.to_uppercase())))
+        });
+        text_without_entry(&format!("{head}\n{functions}{}", outside.unwrap_or_default()), calls, language)
     }
 }
 
@@ -236,6 +253,17 @@ const FIELD_LOWER: vec3f = vec3f(0.0, 0.0, 0.0);
 const FIELD_SPACING: vec3f = vec3f(1.0, 1.0, 1.0);
 // Scale.
 const FIELD_SCALE: f32 = 1.0;
+// Box of the surface.
+const FIELD_INNER_LOWER: vec3f = vec3f(1.0, 1.0, 1.0);
+const FIELD_INNER_UPPER: vec3f = vec3f(2.0, 2.0, 2.0);
+// Whether the samples surround it.
+const FIELD_SURROUNDS_SURFACE: bool = true;
+// Samples of the bound.
+const FIELD_BOUND_FIRST: vec3f = vec3f(0.5, 0.5, 0.5);
+const FIELD_BOUND_STEP: vec3f = vec3f(1.0, 1.0, 1.0);
+const FIELD_BOUND_LAST: vec3i = vec3i(3, 4, 5);
+// The samples.
+@group(0) @binding(0) var field_texels: texture_3d<f32>;
 ";
 
     #[test]
@@ -243,8 +271,9 @@ const FIELD_SCALE: f32 = 1.0;
         for language in [Language::Wgsl, Language::Glsl, Language::Hlsl, Language::Msl] {
             let text = Library::Volume.text(HEAD, language).unwrap();
             let lines: Vec<&str> = text.lines().collect();
-            for name in ["field_voxel", "field_slice", "field_distance", "field_gradient"] {
-                let at = lines.iter().position(|line| line.contains(&format!(" {name}("))).unwrap();
+            for name in ["field_voxel", "field_slice", "field_bound", "field_distance", "field_gradient"] {
+                let defines = |line: &&str| !line.starts_with(' ') && line.contains(&format!(" {name}("));
+                let at = lines.iter().position(defines).unwrap();
                 assert!(lines[at - 1].starts_with("// "), "{language:?} {name}: {}", lines[at - 1]);
             }
             assert!(text.contains("// A field.\n") && text.contains("// Size of a voxel.\n"), "{text}");

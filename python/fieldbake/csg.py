@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import _core
 from .base import checks
 from .base.errors import ShapeError
-from .shapes.shader_function import FUNCTION, shader_function
+from .shapes.shader_function import FUNCTION
 from .shapes.shape import Language, Shape, checked_shape, combine
 
 Method = Literal["octree", "aabb"]
@@ -106,9 +106,7 @@ class Part:
         >>> "fn ball(p0: vec3f) -> f32" in part.shader(name="ball"), "rounded_box" in part.shader()
         (True, False)
         """
-        if not re.fullmatch(r"[a-z]\w*", checks.text("name", name), re.ASCII | re.IGNORECASE):
-            raise ShapeError(f"name: must be a name of letters, digits and underscores, got {checks.describe(name)}")
-        return shader_function(self.shape.shader(language), self.shape.shader_numbers(), language, name)
+        return self.shape.shader(language, form="function", name=checks.text("name", name))
 
     def shader_numbers(self) -> NDArray[np.float32]:
         """List the parameters of the part, (m,) float32: one row of :attr:`PartGroup.numbers`."""
@@ -346,7 +344,9 @@ def decompose(shape: Shape, method: Method = "octree") -> Parts:
         ``"aabb"`` is the method of the article: operators split and discard boxes on the way from the leaves to the
         root. The solid is the union of the parts, each cut to its boxes; boxes may overlap, and the nearest hit along a
         ray is correct. ``"octree"`` prunes the tree in each cell by Lipschitz bounds: boxes do not overlap, and inside
-        its boxes a part has the sign and the roots of the whole shape.
+        its boxes a part has the sign and the roots of the whole shape. The boxes contain the whole surface. Cells that
+        a bound proves to lie wholly outside or wholly inside the solid have no box, so a point in no box may be inside
+        the solid: use ``"aabb"`` or :meth:`Shape.distance` to decide inside or outside.
 
     Returns
     -------

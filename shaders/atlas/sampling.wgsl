@@ -1,7 +1,5 @@
 // The pages: one layer of the texture array per page.
 @group(0) @binding(0) var atlas_pages: texture_2d_array<f32>;
-// Linear filter, addresses clamped to the edge.
-@group(0) @binding(1) var atlas_sampler: sampler;
 
 // Clamps p to the box and returns it in grid space: voxel centres at whole numbers, range -0.5 to n - 0.5.
 fn atlas_grid_position(entry: AtlasEntry, p: vec3f) -> vec3f {
@@ -33,21 +31,6 @@ fn atlas_sample(entry: AtlasEntry, p: vec3f) -> f32 {
     let near = atlas_bilinear(entry, vec3i(cell), fraction.xy);
     let far = atlas_bilinear(entry, vec3i(cell) + vec3i(0, 0, 1), fraction.xy);
     return mix(near, far, fraction.z) * atlas_scale(entry);
-}
-
-// The distance at p by two taps of the hardware filter, whose weights have about 8 bits: the error is up to 1/256 of
-// the difference between neighbouring samples. Without a gutter (strips have none), the samples of the border mix with
-// the neighbouring slice by the same amount.
-fn atlas_sample_filtered(entry: AtlasEntry, p: vec3f) -> f32 {
-    // Clamps to the outermost voxel centres. The field is constant beyond them, so the function does not change.
-    let last = vec3f(atlas_shape(entry)) - 1.0;
-    let p_grid = clamp(atlas_grid_position(entry, p), vec3f(0.0), last);
-    let z = floor(p_grid.z);
-    let low = vec2f(atlas_slice(entry, u32(z))) + p_grid.xy + 0.5;
-    let high = vec2f(atlas_slice(entry, u32(min(z + 1.0, last.z)))) + p_grid.xy + 0.5;
-    let near = textureSampleLevel(atlas_pages, atlas_sampler, low / ATLAS_PAGE_SIZE, entry.atlas_index, 0.0).x;
-    let far = textureSampleLevel(atlas_pages, atlas_sampler, high / ATLAS_PAGE_SIZE, entry.atlas_index, 0.0).x;
-    return atlas_share(mix(near, far, p_grid.z - z)) * atlas_scale(entry);
 }
 
 // The stored distance of the voxel that contains p.

@@ -21,21 +21,25 @@ fn nested_holds(level: i32, p: vec3f) -> bool {
     return all(p_grid >= vec3f(0.0)) && all(p_grid <= vec3f(NESTED_SHAPE) - 1.0);
 }
 
-// The distance at p in world space, from the finest level whose voxel centres surround p. Outside the outermost box,
-// with the distance a to it and the value s at its nearest point, it is sqrt(a^2 + s^2).
+// A sample that bounds the distance outside the outermost box.
+fn nested_bound_sample(voxel: vec3i) -> f32 {
+    return nested_voxel(NESTED_LEVELS - 1, voxel);
+}
+
+// The distance at p in world space: trilinear in the finest level whose voxel centres surround p, a lower bound
+// outside the outermost box.
 fn nested_distance(p: vec3f) -> f32 {
     var level = 0;
     while level < NESTED_LEVELS - 1 && !nested_holds(level, p) {
         level = level + 1;
     }
     let p_grid = (p - nested_lower(level)) / nested_spacing(level) - 0.5;
-    let clamped = clamp(p_grid, vec3f(-0.5), vec3f(NESTED_SHAPE) - 0.5);
-    let cell = floor(clamped);
-    let fraction = clamped - cell;
+    if any(p_grid < vec3f(-0.5)) || any(p_grid > vec3f(NESTED_SHAPE) - 0.5) {
+        return nested_bound(p);
+    }
+    let cell = floor(p_grid);
+    let fraction = p_grid - cell;
     let near = nested_slice(level, vec3i(cell), fraction.xy);
     let far = nested_slice(level, vec3i(cell) + vec3i(0, 0, 1), fraction.xy);
-    let value = mix(near, far, fraction.z);
-    let outside = (p_grid - clamped) * nested_spacing(level);
-    let squared = dot(outside, outside);
-    return select(value, sqrt(squared + max(value, 0.0) * max(value, 0.0)), squared > 0.0);
+    return mix(near, far, fraction.z);
 }

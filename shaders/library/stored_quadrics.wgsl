@@ -40,7 +40,8 @@ fn quadric_times(quadric: Quadric, v: vec4f) -> vec4f {
 }
 
 // The nearest t >= t_min at which a ray, with a direction of length 1, crosses a quadric inside its trim sphere; -1 if
-// there is none. The ray is moved to its point nearest to the centre first, so that float32 suffices far away.
+// there is none. The ray is moved to its point nearest to the centre first, so that its origin may be far away. The
+// quadric may not: beyond 100 radii from the world's origin the float32 rows are coarse, as pack_quadrics explains.
 fn intersect_quadric(quadric: Quadric, origin: vec3f, direction: vec3f, t_min: f32) -> f32 {
     let start = dot(quadric.center - origin, direction);
     let nearest = origin + start * direction;

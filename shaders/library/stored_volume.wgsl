@@ -1,9 +1,6 @@
-// The samples as a 3D texture, x along its width, as .ktx2 and .dds files hold them. It is read without a filter.
-@group(0) @binding(0) var field_texels: texture_3d<f32>;
-
 // The stored distance of a voxel, world units. A voxel outside the grid reads the nearest voxel inside.
 fn field_voxel(voxel: vec3i) -> f32 {
-    return textureLoad(field_texels, clamp(voxel, vec3i(0), FIELD_SHAPE - 1), 0).x * FIELD_SCALE;
+    return f32(textureLoad(field_texels, clamp(voxel, vec3i(0), FIELD_SHAPE - 1), 0).x) * FIELD_SCALE;
 }
 
 // Bilinear interpolation within one slice.
@@ -13,19 +10,22 @@ fn field_slice(cell: vec3i, fraction: vec2f) -> f32 {
     return mix(low, high, fraction.y);
 }
 
-// The distance at p in world space: trilinear inside the box. Outside, with the distance a to the box and the value s
-// at its nearest point, it is sqrt(a^2 + s^2), a lower bound for surfaces that lie in the box.
+// A sample that bounds the distance outside the box.
+fn field_bound_sample(voxel: vec3i) -> f32 {
+    return field_voxel(voxel);
+}
+
+// The distance at p in world space: trilinear inside the box, a lower bound outside.
 fn field_distance(p: vec3f) -> f32 {
     let p_grid = (p - FIELD_LOWER) / FIELD_SPACING - 0.5;
-    let clamped = clamp(p_grid, vec3f(-0.5), vec3f(FIELD_SHAPE) - 0.5);
-    let cell = floor(clamped);
-    let fraction = clamped - cell;
+    if any(p_grid < vec3f(-0.5)) || any(p_grid > vec3f(FIELD_SHAPE) - 0.5) {
+        return field_bound(p);
+    }
+    let cell = floor(p_grid);
+    let fraction = p_grid - cell;
     let near = field_slice(vec3i(cell), fraction.xy);
     let far = field_slice(vec3i(cell) + vec3i(0, 0, 1), fraction.xy);
-    let value = mix(near, far, fraction.z);
-    let outside = (p_grid - clamped) * FIELD_SPACING;
-    let squared = dot(outside, outside);
-    return select(value, sqrt(squared + max(value, 0.0) * max(value, 0.0)), squared > 0.0);
+    return mix(near, far, fraction.z);
 }
 
 // The gradient at p by differences over one voxel; at the surface it points outwards.

@@ -4,7 +4,7 @@ use super::entry::Facts;
 use super::gpu::{DeviceItem, DevicePages};
 use super::plan::plan;
 use super::sample::{AtlasField, AtlasFilter};
-use super::shader::{ShaderOptions, wgsl};
+use super::shader::{ShaderOptions, Texels, wgsl};
 use super::texels::{self, Item};
 use super::{AtlasBlock, Layout};
 use crate::encoding::Encoding;
@@ -136,13 +136,20 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
 fn the_wgsl_samples_the_texture_as_the_cpu_samples_the_pages() {
     let Some(context) = test_context() else { return };
     for (layout, shapes) in [(Layout::Shelves { gutter: 1 }, MIXED.as_slice()), (Layout::Strips, &[[7; 3]; 20])] {
-        let pages = [Encoding::Float32, Encoding::Float16, Encoding::Snorm8].map(|encoding| (encoding, false));
-        for (encoding, unsigned) in pages.into_iter().chain([(Encoding::Snorm16, true), (Encoding::Snorm8, true)]) {
+        for (encoding, texels) in [
+            (Encoding::Float32, Texels::Pages),
+            (Encoding::Float16, Texels::Pages),
+            (Encoding::Snorm8, Texels::Pages),
+            (Encoding::Snorm16, Texels::Png),
+            (Encoding::Snorm8, Texels::Png),
+            (Encoding::Snorm16, Texels::Integers),
+            (Encoding::Snorm8, Texels::Integers),
+        ] {
             let packed = pack_on_host(encoding, layout, shapes, moderate_field);
-            let texture = if unsigned {
-                image_texture(&context, encoding, &packed)
-            } else {
-                pack_on_device(&context, encoding, &packed, u64::MAX).texture().unwrap()
+            let texture = match texels {
+                Texels::Pages => pack_on_device(&context, encoding, &packed, u64::MAX).texture().unwrap(),
+                Texels::Png => image_texture(&context, encoding, &packed),
+                Texels::Integers => integer_texture(&context, encoding, &packed),
             };
             let box_of = |block: &AtlasBlock| {
                 let shape = block.shape.map(|n| n as usize);
@@ -169,8 +176,10 @@ fn the_wgsl_samples_the_texture_as_the_cpu_samples_the_pages() {
                     points.push(p.extend(entry as f32).to_array());
                 }
             }
-            let options = ShaderOptions { layout, encoding, unsigned, page_size: PAGE, side: shapes[0][0] };
-            let values = run(&context, &(wgsl(&options) + MAIN), &texture, &entries, &points);
+            let options = ShaderOptions { layout, encoding, texels, page_size: PAGE, side: shapes[0][0] };
+            let has_filter = texels != Texels::Integers;
+            let main = if has_filter { MAIN } else { &MAIN.replace("atlas_sample_filtered", "atlas_sample") };
+            let values = run(&context, &(wgsl(&options) + main), &texture, has_filter, &entries, &points);
 
             for (entry, block) in packed.blocks.iter().enumerate() {
                 let grid = box_of(block);
@@ -188,7 +197,8 @@ fn the_wgsl_samples_the_texture_as_the_cpu_samples_the_pages() {
                         3.0 * spread * 24.0 * 4.0 * f32::EPSILON + 16.0 * f32::EPSILON * (spread + expected.abs());
                     // An unsigned integer over 65535 is rounded, multiplied and offset: three roundings of up to 2
                     // fractions.
-                    let tolerance = tolerance + if unsigned { 8.0 * f32::EPSILON * scale(encoding) } else { 0.0 };
+                    let is_unsigned = texels == Texels::Png;
+                    let tolerance = tolerance + if is_unsigned { 8.0 * f32::EPSILON * scale(encoding) } else { 0.0 };
                     let difference = (values[i][0] - expected).abs();
                     assert!(difference <= tolerance, "{encoding:?} {block:?} {world}: {difference} > {tolerance}");
                     // A hardware filter has 8 bits or more for each of its weights.
@@ -209,19 +219,32 @@ fn image_texture(context: &Context, encoding: Encoding, packed: &Packed) -> wgpu
             .map(|&bits| (i32::from(i16::from_le_bytes(bits)) + 32768) as f32 / 65535.0)
             .collect(),
     };
+    page_texture(context, wgpu::TextureFormat::R32Float, packed, bytemuck::cast_slice(&values))
+}
+
+/// The bytes of the pages as signed integers, in the formats that the core of WebGPU has.
+fn integer_texture(context: &Context, encoding: Encoding, packed: &Packed) -> wgpu::Texture {
+    let is_snorm8 = encoding == Encoding::Snorm8;
+    let format = if is_snorm8 { wgpu::TextureFormat::R8Sint } else { wgpu::TextureFormat::R16Sint };
+    assert_eq!(format.required_features(), wgpu::Features::empty());
+    page_texture(context, format, packed, &packed.host)
+}
+
+fn page_texture(context: &Context, format: wgpu::TextureFormat, packed: &Packed, bytes: &[u8]) -> wgpu::Texture {
     let size = wgpu::Extent3d { width: PAGE, height: PAGE, depth_or_array_layers: packed.pages };
     let texture = context.device.create_texture(&wgpu::TextureDescriptor {
-        label: Some("image of an atlas"),
+        label: Some("pages of an atlas"),
         size,
         mip_level_count: 1,
         sample_count: 1,
         dimension: wgpu::TextureDimension::D2,
-        format: wgpu::TextureFormat::R32Float,
+        format,
         usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
         view_formats: &[],
     });
-    let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * PAGE), rows_per_image: Some(PAGE) };
-    context.queue.write_texture(texture.as_image_copy(), bytemuck::cast_slice(&values), layout, size);
+    let row_bytes = bytes.len() as u32 / (PAGE * packed.pages);
+    let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(row_bytes), rows_per_image: Some(PAGE) };
+    context.queue.write_texture(texture.as_image_copy(), bytes, layout, size);
     texture
 }
 
@@ -243,7 +266,14 @@ fn corner_range(samples: &[f32], block: &AtlasBlock, cell: [i32; 3], encoding: E
 }
 
 /// Runs a compute shader on a texture, entries and points.
-fn run(context: &Context, text: &str, texture: &wgpu::Texture, entries: &[u8], points: &[[f32; 4]]) -> Vec<[f32; 4]> {
+fn run(
+    context: &Context,
+    text: &str,
+    texture: &wgpu::Texture,
+    has_filter: bool,
+    entries: &[u8],
+    points: &[[f32; 4]],
+) -> Vec<[f32; 4]> {
     let pipeline = context.compile("atlas sampling", "main", text).unwrap();
     let entries = context.upload("entries", entries).unwrap();
     let found = context.storage("values", size_of_val(points) as u64).unwrap();
@@ -269,6 +299,7 @@ fn run(context: &Context, text: &str, texture: &wgpu::Texture, entries: &[u8], p
             let entries: Vec<_> = resources
                 .into_iter()
                 .enumerate()
+                .filter(|(i, _)| has_filter || *i != 1)
                 .map(|(i, resource)| wgpu::BindGroupEntry { binding: i as u32, resource })
                 .collect();
             let group = context.device.create_bind_group(&wgpu::BindGroupDescriptor {

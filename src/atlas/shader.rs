@@ -2,7 +2,7 @@
 
 use super::Layout;
 use crate::encoding::Encoding;
-use crate::error::Error;
+use crate::error::{ArgumentError, Error, choice};
 use crate::shader_library::text_without_entry;
 use crate::shader_text::Language;
 use std::fmt::Write;
@@ -10,30 +10,55 @@ use std::fmt::Write;
 const SHELVES: &str = include_str!("../../shaders/atlas/shelves.wgsl");
 const STRIPS: &str = include_str!("../../shaders/atlas/strips.wgsl");
 const SAMPLING: &str = include_str!("../../shaders/atlas/sampling.wgsl");
+const FILTERED: &str = include_str!("../../shaders/atlas/filtered.wgsl");
+
+/// Texels that are bound as the texture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Texels {
+    /// The pages, as floats or normalised integers.
+    Pages,
+    /// The unsigned integers of an image file, whose middle is distance 0. Image files hold snorm16 in place of float
+    /// encodings.
+    Png,
+    /// The integers of the pages, in an integer format that every device has; it has no filter.
+    Integers,
+}
+
+impl Texels {
+    /// Converts the public name.
+    pub(crate) fn from_name(name: &str) -> Result<Self, ArgumentError> {
+        choice("texels", name, &[("pages", Self::Pages), ("png", Self::Png), ("integers", Self::Integers)])
+    }
+}
 
 /// Parameters of the text.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ShaderOptions {
     pub layout: Layout,
     pub encoding: Encoding,
-    /// Whether texels are the unsigned integers of an image file, whose middle is distance 0. Image files hold snorm16
-    /// in place of float encodings.
-    pub unsigned: bool,
+    pub texels: Texels,
     pub page_size: u32,
     /// Number of voxels along a side of the cubes in strips.
     pub side: u32,
 }
 
-/// Statements that call every function.
+/// Statements that call every function but that of the filter.
 const CALLS: &str = "
     var entry: AtlasEntry;
     let p = vec3f(atlas_texture_coordinates(entry, vec3f(0.0)), 0.0);
-    var sum = atlas_sample(entry, p) + atlas_sample_filtered(entry, p) + atlas_sample_nearest(entry, p);
+    var sum = atlas_sample(entry, p) + atlas_sample_nearest(entry, p);
 ";
+const CALL_FILTERED: &str = "sum += atlas_sample_filtered(entry, p);\n";
 
 /// The sampling functions of an atlas in a language.
 pub(crate) fn shader(options: &ShaderOptions, language: Language) -> Result<String, Error> {
-    let text = text_without_entry(&wgsl(options), CALLS, language)?;
+    if options.texels == Texels::Integers && !options.encoding.is_normalised() {
+        let problem =
+            format!("\"integers\" are those of snorm16 and snorm8, and the pages are {}", options.encoding.name());
+        return Err(ArgumentError::new("texels", problem).into());
+    }
+    let filtered = if options.texels == Texels::Integers { "" } else { CALL_FILTERED };
+    let text = text_without_entry(&wgsl(options), &format!("{CALLS}{filtered}"), language)?;
     // HLSL counts rows where the other languages count columns.
     let is_hlsl = language == Language::Hlsl;
     Ok(if is_hlsl { text.replace("entry.inverse_model * world", "mul(world, entry.inverse_model)") } else { text })
@@ -46,33 +71,58 @@ pub(crate) fn wgsl(options: &ShaderOptions) -> String {
         Layout::Shelves { .. } => ("shelves", SHELVES),
         Layout::Strips => ("strips", STRIPS),
     };
-    let format = match (options.encoding, options.unsigned) {
-        (Encoding::Snorm8, true) => "r8unorm",
-        (_, true) => "r16unorm",
-        (Encoding::Float32, false) => "r32float",
-        (Encoding::Float16, false) => "r16float",
-        (Encoding::Snorm16, false) => "r16snorm",
-        (Encoding::Snorm8, false) => "r8snorm",
+    let is_snorm8 = options.encoding == Encoding::Snorm8;
+    let format = match (options.texels, options.encoding) {
+        (Texels::Png, _) => {
+            if is_snorm8 {
+                "r8unorm"
+            } else {
+                "r16unorm"
+            }
+        }
+        (Texels::Integers, _) => {
+            if is_snorm8 {
+                "r8sint"
+            } else {
+                "r16sint"
+            }
+        }
+        (Texels::Pages, Encoding::Float32) => "r32float",
+        (Texels::Pages, Encoding::Float16) => "r16float",
+        (Texels::Pages, Encoding::Snorm16) => "r16snorm",
+        (Texels::Pages, Encoding::Snorm8) => "r8snorm",
     };
+    // The core of WebGPU and of WebGL 2 has no normalised formats of 16 bits.
+    let feature = if format.starts_with("r16") && format.ends_with("norm") { SNORM16_FEATURE } else { "" };
     let mut text = format!(
         "// Sampling of a fieldbake atlas: layout \"{layout}\", pages of {size} x {size} texels of format {format}.\n\
          // Bind the pages as the layers of a 2D array texture. Points are in the space that a volume was baked in:\n\
-         // for an instance, entry.inverse_model * world. Distances are negative inside.\n\n\
+         // for an instance, entry.inverse_model * world. Distances are negative inside.\n\
+         {feature}\n\
          const ATLAS_PAGE_SIZE: f32 = {size}.0;\n"
     );
     if options.layout == Layout::Strips {
         // Writing to a string cannot fail.
         let _ = writeln!(text, "const ATLAS_SIDE: u32 = {}u;", options.side);
-        let is_scaled = options.unsigned || options.encoding.is_scaled();
+        let is_scaled = options.texels == Texels::Png || options.encoding.is_scaled();
         let _ = writeln!(text, "const ATLAS_IS_SCALED: bool = {is_scaled};");
     }
-    let share = match (options.unsigned, options.encoding) {
-        (false, _) => PLAIN_SHARE.to_owned(),
-        (true, Encoding::Snorm8) => unsigned_share(8),
-        (true, _) => unsigned_share(16),
+    let share = match options.texels {
+        Texels::Pages => PLAIN_SHARE.to_owned(),
+        Texels::Png => unsigned_share(if is_snorm8 { 8 } else { 16 }),
+        Texels::Integers => signed_share(if is_snorm8 { 8 } else { 16 }),
     };
-    text + "\n" + entry + "\n" + &share + "\n" + SAMPLING
+    let sampling = match options.texels {
+        Texels::Integers => SAMPLING.replace("texture_2d_array<f32>", "texture_2d_array<i32>"),
+        Texels::Pages | Texels::Png => format!("{SAMPLING}\n{FILTERED}"),
+    };
+    text + "\n" + entry + "\n" + &share + "\n" + &sampling
 }
+
+const SNORM16_FEATURE: &str = "\
+// The format needs the feature TEXTURE_FORMAT_16BIT_NORM of wgpu, \"texture-formats-tier1\" of WebGPU or
+// EXT_texture_norm16 of WebGL 2. texels=\"integers\" of a snorm16 atlas needs none of them.
+";
 
 const PLAIN_SHARE: &str = "\
 // The distance of a texel as a fraction of the entry's scale: the value of the texel.
@@ -97,6 +147,19 @@ fn atlas_share(texel: f32) -> f32 {{
     )
 }
 
+/// The function that decodes signed integers of this many bits.
+fn signed_share(bits: u32) -> String {
+    let steps = (1u32 << (bits - 1)) - 1;
+    format!(
+        "\
+// The distance of a texel as a fraction of the entry's scale: integer / {steps}.
+fn atlas_share(texel: i32) -> f32 {{
+    return f32(texel) / {steps}.0;
+}}
+"
+    )
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::entry::{AtlasEntry, StripEntry};
@@ -106,13 +169,14 @@ mod tests {
     use std::mem::offset_of;
 
     const LANGUAGES: [Language; 4] = [Language::Wgsl, Language::Glsl, Language::Hlsl, Language::Msl];
-    const FUNCTIONS: [&str; 5] =
-        ["atlas_sample", "atlas_sample_filtered", "atlas_sample_nearest", "atlas_texture_coordinates", "atlas_slice"];
+    const FUNCTIONS: [&str; 4] = ["atlas_sample", "atlas_sample_nearest", "atlas_texture_coordinates", "atlas_slice"];
 
     fn every_option() -> impl Iterator<Item = ShaderOptions> {
         [Layout::Strips, Layout::Shelves { gutter: 1 }].into_iter().flat_map(|layout| {
-            [false, true].into_iter().flat_map(move |unsigned| {
-                Encoding::ALL.map(|encoding| ShaderOptions { layout, encoding, unsigned, page_size: 4096, side: 64 })
+            [Texels::Pages, Texels::Png, Texels::Integers].into_iter().flat_map(move |texels| {
+                let has = move |encoding: &Encoding| texels != Texels::Integers || encoding.is_normalised();
+                let make = move |encoding| ShaderOptions { layout, encoding, texels, page_size: 4096, side: 64 };
+                Encoding::ALL.into_iter().filter(has).map(make)
             })
         })
     }
@@ -123,7 +187,11 @@ mod tests {
             parse(&wgsl(&options)).unwrap();
             for language in LANGUAGES {
                 let text = shader(&options, language).unwrap();
-                for function in FUNCTIONS {
+                let has_filter = options.texels != Texels::Integers;
+                assert_eq!(text.contains("atlas_sample_filtered"), has_filter);
+                // GLSL joins a texture and its sampler.
+                assert_eq!(text.contains("atlas_sampler"), has_filter && language != Language::Glsl);
+                for function in FUNCTIONS.into_iter().chain(has_filter.then_some("atlas_sample_filtered")) {
                     let lines: Vec<&str> = text.lines().collect();
                     let at = lines.iter().position(|line| line.contains(&format!(" {function}("))).unwrap();
                     assert!(lines[at - 1].starts_with("// "), "{language:?} {function}: {}", lines[at - 1]);
@@ -141,7 +209,8 @@ mod tests {
         for options in every_option() {
             let text = shader(&options, Language::Glsl).unwrap();
             assert!(text.starts_with("#version 300 es\n"), "{text}");
-            assert!(text.contains("uniform highp sampler2DArray atlas_pages;"));
+            let kind = if options.texels == Texels::Integers { "isampler2DArray" } else { "sampler2DArray" };
+            assert!(text.contains(&format!("uniform highp {kind} atlas_pages;")), "{text}");
             assert!(!text.contains("main"));
         }
     }
@@ -165,7 +234,7 @@ mod tests {
             parse(&wgsl(&ShaderOptions {
                 layout,
                 encoding: Encoding::Float32,
-                unsigned: false,
+                texels: Texels::Pages,
                 page_size: 64,
                 side: 8,
             }))

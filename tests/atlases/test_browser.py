@@ -65,3 +65,31 @@ def test_the_glsl_samples_like_numpy(layout, tmp_path, random):
     clear = (np.abs(grid - np.round(grid)) > 1e-4).all(axis=1)
     assert np.array_equal(nearest[clear], volumes[i].sample(points, filter="nearest")[clear])
     assert np.allclose(u[clear], atlas.texture_coordinates(i, points)[clear, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize("layout", ["shelves", "strips"])
+def test_the_integers_of_snorm16_pages_need_no_extension(layout, tmp_path, random):
+    values = random.uniform(-1, 1, (3, 6, 6, 6))
+    atlas = fb.pack([fb.Volume(v, [(-1, 0, 0.5), (1, 2, 3)]) for v in values], layout=layout, encoding="snorm16")
+    points = random.uniform((-1, 0, 0.5), (1, 2, 3), (256, 3)).astype(np.float32)
+    entry = atlas.entries[2]
+    text = atlas.shader("glsl", texels="integers") + "uniform AtlasEntry entry;\n"
+    assert "isampler2DArray" in text
+    assert "atlas_sample_filtered" not in text
+    size = (atlas.page_size, atlas.page_size, len(atlas.pages))
+    pages = Texture("atlas_pages", "r16sint", size, atlas.pages, "pages")
+    uniforms = [
+        (f"entry.{name}", kind, np.atleast_1d(entry[name]).tolist())
+        for name, kind in UNIFORMS.items()
+        if name in entry.dtype.names
+    ]
+
+    (values,) = run_glsl(tmp_path, [glsl_job(text, "vec4(atlas_sample(entry, p))", [pages], points, uniforms=uniforms)])
+
+    assert np.abs(values[:, 0] - atlas.sample(2, points)).max() <= FLOAT32_SAMPLE
+    with pytest.raises(fb.ArgumentError, match='texels: "integers" are those of snorm16 and snorm8'):
+        fb.pack([fb.bake(fb.sphere(), 8)]).shader(texels="integers")
+    # The texts of normalised 16-bit texels state the feature that they need.
+    for texels in ("pages", "png"):
+        assert "TEXTURE_FORMAT_16BIT_NORM" in atlas.shader("wgsl", texels=texels)
+    assert "TEXTURE_FORMAT_16BIT_NORM" not in atlas.shader("wgsl", texels="integers")

@@ -243,6 +243,20 @@ def test_a_thousand_leaves_fall_into_small_parts():
     assert parts.structures < 20
 
 
+@pytest.mark.parametrize("method", ["aabb", "octree"])
+def test_points_in_no_box_are_outside_or_wholly_inside(method):
+    random = np.random.default_rng(3)
+    shape = fb.box(2) | fb.csg.union(*(fb.sphere(0.3).translate(random.uniform(-1.5, 1.5, 3)) for _ in range(40)))
+    points = random.uniform(*shape.bounds, (4000, 3))
+    boxes = np.concatenate([part.boxes for part in fb.csg.decompose(shape, method=method)])
+    in_box = ((points[:, None] >= boxes[:, 0]) & (points[:, None] < boxes[:, 1])).all(axis=-1).any(axis=1)
+    distances = shape.distance(points)
+    # The boxes of "octree" leave out cells in which the field keeps its sign, those of "aabb" none inside.
+    inside = ~in_box & (distances < 0)
+    assert inside.any() == (method == "octree")
+    assert np.abs(distances[inside]).min(initial=1) > 0.01
+
+
 def test_the_middle_planes_of_cells_have_no_holes():
     frame = fb.raymarch(fb.box(2), fb.Camera((0, 0, 5), (0, 0, 0), fov_deg=10), size=(65, 65))
     assert np.abs(frame.depth - 4).max() < 1e-5

@@ -10,14 +10,17 @@ from compilers import glsl_errors, hlsl_errors, metal_errors, wgsl_errors
 CALLS = {
     "volume": ("field_distance(p)", "field_gradient(p).x"),
     "snorm": ("field_distance(p)", "field_gradient(p).x"),
+    "snorm16": ("field_distance(p)", "field_gradient(p).x"),
     "sparse": ("sparse_distance(p)",),
     "sparse snorm": ("sparse_distance(p)",),
+    "sparse snorm16": ("sparse_distance(p)",),
     "nested": ("nested_distance(p)",),
     "quadrics": ("intersect_quadric(load_quadric(0), p, p, 0.0)", "quadric_normal(load_quadric(0), p, p).x"),
     "part": ("part(p)",),
     "default part": ("distance_to_shape(p)",),
     "atlas": (),
     "png atlas": (),
+    "integer atlas": (),
 }
 
 
@@ -27,18 +30,22 @@ def things():
     aside = np.eye(4)
     aside[0, 3] = 6
     atlas = fb.pack([volume, volume], page_size="fit")
+    integers = fb.pack([volume, volume], page_size="fit", encoding="snorm16")
     part = fb.csg.decompose((fb.box(2) | fb.sphere(1.2)) - fb.cylinder(0.4, 4))[0]
     return {
         "volume": volume.shader,
         "snorm": volume.quantize("snorm8").shader,
+        "snorm16": volume.quantize("snorm16").shader,
         "sparse": volume.to_sparse().shader,
         "sparse snorm": volume.to_sparse().quantize("snorm8").shader,
+        "sparse snorm16": volume.to_sparse().quantize("snorm16").shader,
         "nested": fb.merge([volume, (volume, aside)], 8, levels=2, center=(0, 0, 0)).shader,
         "quadrics": fb.Quadric.shader,
         "part": lambda language: part.shader(language, name="part"),
         "default part": part.shader,
         "atlas": atlas.shader,
         "png atlas": lambda language: atlas.shader(language, texels="png"),
+        "integer atlas": lambda language: integers.shader(language, texels="integers"),
     }
 
 

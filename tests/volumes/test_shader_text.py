@@ -83,6 +83,54 @@ def test_the_glsl_of_every_field_is_the_field_of_numpy(volume, nested, tmp_path)
     assert np.abs(hit[clear, 0] - exact[clear]).max() <= 1e-4
 
 
+def fields_of_every_kind(volume, nested):
+    # Narrow bands leave most bricks empty; the box of the last one cuts the surface.
+    fine = fb.bake(fb.models.torus_knot(), 40)
+    cut = fb.bake(fb.sphere(1), 16, bounds=[(-2, -2, -0.3), (2, 2, 0.4)])
+    return {
+        "volume": (volume, "field_distance"),
+        "snorm16 volume": (volume.quantize("snorm16"), "field_distance"),
+        "cut volume": (cut, "field_distance"),
+        "sparse": (fine.to_sparse(band=2), "sparse_distance"),
+        "snorm16 sparse": (fine.to_sparse(band=2).quantize("snorm16"), "sparse_distance"),
+        "cut sparse": (cut.to_sparse(), "sparse_distance"),
+        "oblong sparse": (fb.bake(fb.models.gear(), (40, 30, 60)).to_sparse(), "sparse_distance"),
+        "nested": (nested, "nested_distance"),
+    }
+
+
+def test_the_glsl_has_the_bounds_of_sample_inside_and_outside_the_box(volume, nested, tmp_path):
+    random = np.random.default_rng(6)
+    jobs, expected = [], []
+    for name, (field, function) in fields_of_every_kind(volume, nested).items():
+        lower, upper = field.bounds
+        for growth in (0.0, 1.0):
+            grown = growth * (upper - lower)
+            points = random.uniform(lower - grown, upper + grown, (COUNT, 3)).astype(np.float32)
+            jobs.append(glsl_job(field.shader("glsl"), f"vec4({function}(p))", listed(field.shader_buffers()), points))
+            expected.append((name, growth, field.sample(points), float(np.linalg.norm(upper - lower))))
+    for (name, growth, values, diagonal), result in zip(expected, run_glsl(tmp_path, jobs), strict=True):
+        error = np.abs(result[:, 0] - values)
+        # A bound is the root of a difference of squares of up to 4 diagonals, each rounded several times.
+        bound = 32 * 2.0**-24 * 4 * diagonal
+        if name == "nested":
+            # At the borders between levels either may be taken.
+            error = np.sort(error)[: int(0.97 * COUNT)]
+        assert error.max() <= bound, (name, growth)
+
+
+def test_no_format_of_a_texture_needs_a_feature(volume, nested):
+    core = {"r32float", "r16float", "r16sint", "r8snorm", "r32uint"}
+    for encoding in ("float32", "float16", "snorm16", "snorm8"):
+        for field in (volume, volume.to_sparse()):
+            encoded = field if encoding == "float32" else field.quantize(encoding)
+            assert {one.format for one in encoded.shader_buffers()} <= core
+    (encoded,) = volume.quantize("snorm16").shader_buffers()
+    assert (encoded.format, encoded.array.dtype) == ("r16sint", np.int16)
+    assert "texture_3d<i32>" in volume.quantize("snorm16").shader("wgsl")
+    assert "format r16sint" in volume.quantize("snorm16").shader("glsl")
+
+
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_every_language_has_the_functions(volume, nested, language):
     texts = {

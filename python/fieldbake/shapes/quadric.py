@@ -336,7 +336,8 @@ class Quadric(Viewable):
         str
             ``load_quadric(i)`` reads row i of the texture ``quadric_texels``, the array of :func:`pack_quadrics` as
             RGBA32F; ``intersect_quadric(quadric, origin, direction, t_min)`` is the nearest hit or -1;
-            ``quadric_normal(quadric, p, direction)`` is the normal on the side of the ray.
+            ``quadric_normal(quadric, p, direction)`` is the normal on the side of the ray. Hits are within 0.002
+            radii of the surface up to 100 radii from the origin; :func:`pack_quadrics` states the limit and the remedy.
 
         Raises
         ------

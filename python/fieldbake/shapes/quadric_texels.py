@@ -41,8 +41,11 @@ def pack_quadrics(quadrics: Sequence[Quadric]) -> NDArray[np.float32]:
     allow at most 8192 or 16384 rows; :func:`wrap_quadrics` arranges more quadrics.
 
     float32 is too coarse for small objects far from the origin: the last entry of the matrix is about
-    ``|center|^2`` and has a rounding error of 6e-8 of that. :func:`raymarch` is not affected, since it uses the
-    float64 quadrics in the frames of their trim spheres.
+    ``|center|^2`` and has a rounding error of 6e-8 of that. The functions of :meth:`Quadric.shader` read these rows. At
+    a distance of 100 radii from the origin their hits are within 0.002 radii, from 300 radii on they miss surfaces.
+    Farther away, move the quadrics near the origin by :meth:`Quadric.transformed` before packing, and subtract the same
+    vector from the origins of the rays. :func:`raymarch` is not affected, since it uses the float64 quadrics in the
+    frames of their trim spheres.
 
     Examples
     --------

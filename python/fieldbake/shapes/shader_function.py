@@ -12,6 +12,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base import checks
+from ..base.errors import ShapeError
+
 #: The function that evaluates the shape.
 FUNCTION = "distance_to_shape"
 
@@ -66,7 +69,14 @@ def shader_function(text: str, numbers: NDArray[np.float32], language: str, name
     name : str
         Name of the function. A name other than ``distance_to_shape`` is also put before the names of all other
         definitions, so that the texts of several shapes can be pasted into one shader.
+
+    Raises
+    ------
+    ShapeError
+        For a name that is no identifier.
     """
+    if not re.fullmatch(r"[a-z]\w*", checks.text("name", name), re.ASCII | re.IGNORECASE):
+        raise ShapeError(f"name: must be a name of letters, digits and underscores, got {checks.describe(name)}")
     for pattern, access in _ACCESSES[language]:
         text = re.sub(pattern, access, text)
     chunks = {found: chunk for chunk in _definitions(text) if (found := _name(chunk)) is not None}
@@ -87,7 +97,7 @@ def shader_function(text: str, numbers: NDArray[np.float32], language: str, name
             for part in (body, array)
         )
         body = re.sub(rf"\b{FUNCTION}\b", name, body)
-    comment = f"// The signed distance to a part of a shape: {name}(p) at the world position p, negative inside.\n\n"
+    comment = f"// The signed distance to a shape: {name}(p) at the world position p, negative inside.\n\n"
     return _HEADS[language] + comment + array + body
 
 

@@ -13,7 +13,8 @@ from .. import _core
 from .._core import Shape as CoreShape
 from ..base import checks
 from ..base.errors import MeshError, ShapeError
-from ..base.grid import Resolution, make_grid
+from ..base.grid import Resolution, check_count, make_grid
+from ..base.progress import Progress, part, watched
 from ..base.viewable import Viewable
 from ..files.container import check_target
 from ..meshes.export import mesh_kind
@@ -23,6 +24,7 @@ from ..volumes.volume import Volume
 from . import arguments
 from .arguments import Axis
 from .representation import python_text
+from .shader_function import FUNCTION, shader_function
 
 Language = Literal["wgsl", "glsl", "hlsl", "msl"]
 
@@ -244,7 +246,9 @@ class Shape(Viewable):
 
     def paint(self, color: ArrayLike, *, over: bool = False) -> Shape:
         """Paint the parts that have no colour yet, or all parts with `over`; linear RGB (3,)."""
-        return self._changed("paint_over" if over else "paint", *arguments.numbers("color", color, 3))
+        return self._changed(
+            "paint_over" if checks.flag("over", over) else "paint", *arguments.numbers("color", color, 3)
+        )
 
     def stencil(self, mask: Shape, color: ArrayLike) -> Shape:
         """Paint the surface inside `mask`; linear RGB (3,)."""
@@ -325,6 +329,7 @@ class Shape(Viewable):
         margin: float = 0.1,
         sharp: bool = True,
         capped: bool = True,
+        progress: Progress = None,
     ) -> Mesh:
         """Extract the surface of the solid as a closed triangle mesh.
 
@@ -336,6 +341,8 @@ class Shape(Viewable):
             As for :func:`fieldbake.bake`.
         sharp, capped
             As for :meth:`fieldbake.Volume.to_mesh`. Tangent planes come from the shape itself.
+        progress : bool or callable, optional
+            True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 
         Returns
         -------
@@ -364,8 +371,12 @@ class Shape(Viewable):
         grid = make_grid(
             inner, resolution, voxel_size=voxel_size, bounds=bounds, margin=margin, default=MESH_RESOLUTION
         )
-        surface = _core.Surface.of_shape(self._core, grid.lower, grid.upper, grid.shape, 0.0)
-        return extract(surface, 0.0, ShapeSource(self._core), sharp=sharp, capped=capped)
+        check_count(grid)
+        with watched(progress, "mesh"):
+            with part(0.0, 0.4):
+                surface = _core.Surface.of_shape(self._core, grid.lower, grid.upper, grid.shape, 0.0)
+            with part(0.4, 1.0):
+                return extract(surface, 0.0, ShapeSource(self._core), sharp=sharp, capped=capped)
 
     def save(self, path: str | os.PathLike[str], resolution: Resolution = MESH_RESOLUTION, **options: Any) -> None:
         """Write the surface of the solid to a mesh file.
@@ -400,26 +411,53 @@ class Shape(Viewable):
             raise MeshError(f"{path}: the shape has no surface in the box")
         mesh.save(path)
 
-    def shader(self, language: Language = "wgsl") -> str:
-        """Write the field as shader text: ``distance_to_shape`` and a compute entry point that calls it.
+    def shader(
+        self,
+        language: Language = "wgsl",
+        *,
+        form: Literal["kernel", "function"] = "kernel",
+        name: str | None = None,
+    ) -> str:
+        """Write the field as shader text: a compute shader, or a function to paste into a shader.
 
         Parameters
         ----------
         language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
             The language. WGSL is indented and commented for readers; naga translates it to the other languages.
+        form : "kernel" or "function", default "kernel"
+            ``"kernel"`` is a compute shader that is ready to compile: ``distance_to_shape`` and an entry point that
+            calls it for a buffer of positions; GLSL is version 4.30. Parameters are read from a buffer with the content
+            of :meth:`shader_numbers`, so shapes of the same structure share one text and one pipeline.
+            ``"function"`` has the functions that the shape needs, without buffers and without an entry point, as the
+            texts of other fields; GLSL is that of WebGL 2 (ES 3.00). Parameters are constants of the text.
+        name : str, optional
+            Name of the function, only for ``form="function"``; the default is ``"distance_to_shape"``. Another name is
+            also put before the names of all other definitions, so that the texts of several shapes fit into one shader.
 
         Returns
         -------
         str
-            Text that is ready to compile; positions and distances are in world units. Parameters are read from a buffer
-            with the content of :meth:`shader_numbers`, so shapes of the same structure share one text and one pipeline.
+            ``name(p)`` of the text is the signed distance at the world position ``p``, world units, negative inside.
 
         Raises
         ------
         ShapeError
-            For an unknown language, or a shape that contains a baked volume.
+            For an unknown language or form, a name that is no identifier, a name with ``form="kernel"``, or a shape
+            that contains a baked volume, which would need a texture.
+
+        Examples
+        --------
+        >>> import fieldbake as fb
+        >>> text = fb.sphere().shader("glsl", form="function", name="ball")
+        >>> text.splitlines()[0], "float ball(" in text, "buffer" in text
+        ('#version 300 es', True, False)
         """
-        return self._core.shader(checks.text("language", language))[0]
+        text = self._core.shader(checks.text("language", language))[0]
+        if checks.choice("form", form, ("kernel", "function"), ShapeError) == "kernel":
+            if name is not None:
+                raise ShapeError(f'name: is for form="function"; a kernel has {FUNCTION}, got {checks.describe(name)}')
+            return text
+        return shader_function(text, self.shader_numbers(), language, FUNCTION if name is None else name)
 
     def shader_numbers(self) -> NDArray[np.float32]:
         """List the contents of the buffer ``numbers`` of the shader, in order."""

@@ -25,8 +25,9 @@ class Shaded(ABC):
         str
             The distance at a world position ``p`` is ``field_distance(p)`` for a `Volume`, ``sparse_distance(p)`` for a
             `SparseVolume` and ``nested_distance(p)`` for a `NestedField`; ``field_gradient(p)`` is the gradient of a
-            `Volume`. Box and encoding are constants of the text; the textures are those of :meth:`shader_buffers`. Add
-            an entry point to complete the shader.
+            `Volume`. The distance is that of ``sample``, inside the box and outside, up to the rounding of float32. Box
+            and encoding are constants of the text; the textures are those of :meth:`shader_buffers`. Add an entry point
+            to complete the shader.
 
         Raises
         ------
@@ -36,7 +37,11 @@ class Shaded(ABC):
         return self._shader_text(language)
 
     def shader_buffers(self) -> ShaderBuffers:
-        """List the textures that the shader reads, with their formats; ``to_bytes()`` gives the bytes to upload."""
+        """List the textures that the shader reads, with their formats; ``to_bytes()`` gives the bytes to upload.
+
+        All formats are in the core of WebGPU and WebGL 2. snorm16 samples are integers of the format ``r16sint``, since
+        ``r16snorm`` needs the feature ``TEXTURE_FORMAT_16BIT_NORM``.
+        """
         return self._shader_textures()
 
     @abstractmethod

@@ -16,8 +16,11 @@ LANGUAGES = ("wgsl", "glsl", "hlsl", "msl")
 
 #: Texels in a row of the texture of a sparse volume's samples.
 SPARSE_ROW = 4096
-#: Formats of textures by the type of their texels.
-_FORMATS = {"float32": "r32float", "float16": "r16float", "int16": "r16snorm", "int8": "r8snorm", "uint32": "r32uint"}
+#: Formats of textures by the type of their texels. All are in the core of WebGPU and of WebGL 2. r16snorm is not, so
+#: the texts read 16-bit integers as integers.
+_FORMATS = {"float32": "r32float", "float16": "r16float", "int16": "r16sint", "int8": "r8snorm", "uint32": "r32uint"}
+#: Distance of the texel value 1, in units of the scale of the encoding.
+_UNITS = {"int16": 1 / 32767}
 
 
 class ShaderBuffer(NamedTuple):
@@ -64,7 +67,7 @@ class ShaderBuffers(tuple[ShaderBuffer, ...]):
 
 
 class Constant(NamedTuple):
-    """A constant of a text, and the comment before it; `kind` is "f32", "i32", "vec3f" or "vec3i"."""
+    """A constant of a text, and the comment before it; `kind` is "bool", "f32", "i32", "vec3f" or "vec3i"."""
 
     name: str
     kind: str
@@ -77,6 +80,8 @@ class Constant(NamedTuple):
 
 def _literal(kind: str, value: Any) -> str:
     """Write a value in WGSL."""
+    if kind == "bool":
+        return "true" if value else "false"
     number = int if "i" in kind else _float32
     if kind.startswith("vec"):
         return f"{kind}({', '.join(str(number(one)) for one in value)})"
@@ -96,6 +101,32 @@ def _place(prefix: str, shape: Any, lower: Any, spacing: Any) -> list[Constant]:
     ]
 
 
+def _outside(prefix: str, volume: Any, first: Any, step: Any, count: Any) -> list[Constant]:
+    """Make the constants of the bound outside the box, from samples with the first one at `first`."""
+    inner_lower, inner_upper = volume.inner_bounds
+    last = np.asarray(count) - 1
+    surrounds = bool((inner_lower >= first).all() and (inner_upper <= first + step * last).all())
+    return [
+        Constant(f"{prefix}_INNER_LOWER", "vec3f", inner_lower, "Lower corner of the box of the surface, world units."),
+        Constant(f"{prefix}_INNER_UPPER", "vec3f", inner_upper, "Upper corner of the box of the surface, world units."),
+        Constant(f"{prefix}_SURROUNDS_SURFACE", "bool", surrounds, "Whether the samples surround that box."),
+        Constant(f"{prefix}_BOUND_FIRST", "vec3f", first, "Position of the first sample of the bound, world units."),
+        Constant(f"{prefix}_BOUND_STEP", "vec3f", step, "Steps between the samples of the bound, world units."),
+        Constant(f"{prefix}_BOUND_LAST", "vec3i", last, "Index of the last sample of the bound."),
+    ]
+
+
+def _samples(name: str, binding: int, kind: str, texels: NDArray[Any], comment: str) -> str:
+    """Declare the texture of samples: floats, or the integers of 16 bits."""
+    number = "i32" if texels.dtype == np.int16 else "f32"
+    return f"// {comment}\n@group(0) @binding({binding}) var {name}: {kind}<{number}>;\n"
+
+
+def _scale(scale: float, texels: NDArray[Any]) -> float:
+    """Distance of the texel value 1."""
+    return scale * _UNITS.get(str(texels.dtype), 1.0)
+
+
 def _text(library: str, header: str, definitions: Iterable[object], language: object) -> str:
     """Write the functions of a library in a language, after a header and the definitions that they read."""
     chosen: str = checks.choice("language", language, LANGUAGES)
@@ -111,9 +142,13 @@ def texture(name: str, binding: int, texels: NDArray[Any]) -> ShaderBuffer:
 def volume_text(volume: Any, language: object) -> str:
     """See :meth:`Volume.shader`."""
     constants = _place("FIELD", volume.resolution, volume.bounds[0], volume.spacing)
-    constants.append(Constant("FIELD_SCALE", "f32", volume._scale, "Distance of a texel of value 1."))
-    header = _header(_FORMATS[str(volume._texels.dtype)], "field_distance")
-    return _text("volume", header, constants, language)
+    texels = volume._texels
+    constants.append(Constant("FIELD_SCALE", "f32", _scale(volume._scale, texels), "Distance of a texel of value 1."))
+    first = volume.bounds[0] + volume.spacing / 2
+    constants += _outside("FIELD", volume, first, volume.spacing, volume.resolution)
+    about = "The samples as a 3D texture, x along its width, as .ktx2 and .dds files hold them, read without a filter."
+    declared = _samples("field_texels", 0, "texture_3d", texels, about)
+    return _text("volume", _header(_FORMATS[str(texels.dtype)], "field_distance"), [*constants, declared], language)
 
 
 def volume_buffers(volume: Any) -> ShaderBuffers:
@@ -132,19 +167,22 @@ def sparse_text(volume: Any, language: object) -> str:
     """See :meth:`SparseVolume.shader`."""
     field = volume._core_field
     arrays = field.arrays()
+    texels = arrays["bricks"]
     step = 7 * volume.spacing
     floor = max(field.band - 0.5 * float(np.linalg.norm(volume.spacing)), 0.0)
     constants = _place("SPARSE", volume.resolution, volume.bounds[0], volume.spacing)
     constants += [
         Constant("SPARSE_COUNTS", "vec3i", arrays["index"].shape, "Bricks along x, y and z."),
-        Constant("SPARSE_NODE_STEP", "vec3f", step / step.max(), "Steps between nodes, in units of the longest."),
-        Constant("SPARSE_LONGEST_STEP", "f32", step.max(), "The longest step, world units."),
+        Constant("SPARSE_LONGEST_STEP", "f32", step.max(), "The longest step between nodes, world units."),
         Constant("SPARSE_FLOOR", "f32", floor, "Smallest distance in an empty brick, world units."),
-        Constant("SPARSE_SCALE", "f32", field.scale, "Distance of a texel of value 1."),
+        Constant("SPARSE_SCALE", "f32", _scale(field.scale, texels), "Distance of a texel of value 1."),
         Constant("SPARSE_ROW", "i32", SPARSE_ROW, "Texels in a row of sparse_bricks."),
     ]
-    header = _header(_FORMATS[str(arrays["bricks"].dtype)], "sparse_distance")
-    return _text("sparse", header, constants, language)
+    # Node 0 lies at voxel -1.
+    constants += _outside("SPARSE", volume, volume.bounds[0] - volume.spacing / 2, step, arrays["nodes"].shape)
+    about = "The samples: 512 texels per brick, x fastest, in rows of SPARSE_ROW texels."
+    declared = _samples("sparse_bricks", 2, "texture_2d", texels, about)
+    return _text("sparse", _header(_FORMATS[str(texels.dtype)], "sparse_distance"), [*constants, declared], language)
 
 
 def sparse_buffers(volume: Any) -> ShaderBuffers:
@@ -173,6 +211,7 @@ def nested_text(levels: Any, language: object) -> str:
         Constant("NESTED_SHAPE", "vec3i", levels[0].resolution, "Voxels of each level along x, y and z."),
         _of_level("nested_lower", "Lower corner of the box of a level, world units.", lowers),
         _of_level("nested_spacing", "Size of a voxel of a level, world units.", spacings),
+        *_outside("NESTED", levels[-1], lowers[-1] + spacings[-1] / 2, spacings[-1], levels[-1].resolution),
     ]
     return _text("nested", _header("r32float", "nested_distance"), definitions, language)
 
