@@ -31,6 +31,57 @@ def test_save_and_load_give_the_same_bits(layout, encoding, tmp_path):
     assert np.array_equal(loaded.unpack(2).distances, atlas.unpack(2).distances)
 
 
+@pytest.mark.parametrize("ending", [".npz", ".exr", ".png"])
+def test_files_keep_the_names(ending, tmp_path):
+    small = fb.sphere(1).to_mesh(8)
+    small.save(tmp_path / "Stuhl für zwei.stl")
+    atlas = fb.pack(
+        [tmp_path / "Stuhl für zwei.stl", small, (str(tmp_path / "Stuhl für zwei.stl"), np.eye(4))], resolution=6
+    )
+    assert atlas.names == ("Stuhl für zwei", "", "Stuhl für zwei")
+    assert atlas.add(cubes(1, 5)[0], name="cube") == 3
+    atlas.remove(0)
+    atlas.save(tmp_path / f"a{ending}")
+
+    loaded = fb.load(tmp_path / f"a{ending}")
+
+    assert loaded.names == atlas.names == ("", "", "Stuhl für zwei", "cube")
+    assert [entry.name for entry in loaded] == ["", "Stuhl für zwei", "cube"]
+    assert "3 'cube' of" in repr(loaded[3])
+    assert atlas.entries.dtype.itemsize == 240
+    assert loaded.add(cubes(1, 5)[0], name="first") == 0
+    assert loaded[0].name == "first"
+
+
+def test_names_belong_to_the_volumes_one_for_one():
+    assert fb.pack(cubes(2, 4), page_size=24, names=["a", "b"]).names == ("a", "b")
+    for names, text in (
+        (["a"], "names: must have a name for each of 2 volumes, got 1"),
+        ("ab", "names: must be a list"),
+        ([1, "b"], r"names\[0\]"),
+        (3, "names: must be an iterable"),
+    ):
+        with pytest.raises(fb.ArgumentError, match=text):
+            fb.pack(cubes(2, 4), page_size=24, names=names)
+
+
+@pytest.mark.parametrize(
+    "names", [np.array(["a"]), np.zeros(3), np.array("a"), np.full(3, 0x7FFFFFFF, np.uint32).view("<U1")]
+)
+def test_wrong_names_in_a_file_are_refused(good_file, names, tmp_path):
+    (tmp_path / "a.npz").write_bytes(rewrite(good_file, names=names))
+    with pytest.raises(fb.FormatError):
+        fb.load(tmp_path / "a.npz")
+
+
+def test_files_without_names_are_read(good_file, tmp_path):
+    with zipfile.ZipFile(io.BytesIO(good_file)) as old, zipfile.ZipFile(tmp_path / "a.npz", "w") as new:
+        for info in old.infolist():
+            if info.filename != "names.npy":
+                new.writestr(info, old.read(info))
+    assert fb.load(tmp_path / "a.npz").names == ("", "", "")
+
+
 def test_another_ending_is_refused(tmp_path):
     with pytest.raises(fb.FormatError, match="ending"):
         fb.pack([], page_size=8).save(tmp_path / "atlas.tiff")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import fieldbake as fb
 import vdb_bytes
-from damage import damaged
+from damage import damaged, drop_checksum
 from system_python import openvdb_python
 
 ENDINGS = (".vdb", ".nvdb", ".vti", ".nrrd", ".dds", ".ktx2", ".vf", ".exr")
@@ -307,6 +307,46 @@ def test_a_nrrd_file_of_another_program_is_read(kind, tmp_path):
     assert np.array_equal(found.spacing, [1, 2, 0.5])
 
 
+@pytest.mark.parametrize(
+    "directions",
+    [
+        np.diag([0.7, -0.7, 1.5]),
+        np.diag([-0.7, -0.6, -1.5]),
+        np.array([[0, 0, 1.5], [-0.7, 0, 0], [0, 0.6, 0]]),
+    ],
+)
+def test_axes_of_a_nrrd_file_that_point_backwards_or_are_exchanged_are_turned(directions, tmp_path):
+    nrrd = pytest.importorskip("nrrd")
+    samples = np.random.default_rng(1).normal(size=(3, 4, 5)).astype(np.float32)
+    origin = np.array([10.0, 20.0, 30.0])
+    header = {"space": "left-posterior-superior", "space directions": directions, "space origin": origin}
+    nrrd.write(str(tmp_path / "ct.nrrd"), samples, header)
+    volume = fb.load(tmp_path / "ct.nrrd")
+    assert np.allclose(volume.spacing, np.abs(directions).max(axis=0), rtol=1e-12)
+    # Each sample lies where the header of the file puts it.
+    index = np.argwhere(np.ones(samples.shape, bool))
+    found = volume.sample(origin + index @ directions, filter="nearest")
+    assert np.array_equal(found, samples.reshape(-1))
+
+
+@pytest.mark.parametrize(
+    ("directions", "message"),
+    [
+        ("(0.7,0.1,0) (0,0.7,0) (0,0,1.5)", "rotated or sheared; resample it"),
+        ("(0.7,0,0) (0,0,0) (0,0,1.5)", "sizes other than 0"),
+        ("(0.7,0,0) (0,0.7,0)", "three space directions"),
+        ("none (0.7,0,0) (0,0.7,0) (0,0,1)", "numbers|dimensions"),
+    ],
+)
+def test_other_axes_of_a_nrrd_file_are_errors(directions, message, tmp_path):
+    sizes = "2 2 2" if directions[0] == "(" else "1 2 2 2"
+    head = f"NRRD0004\ntype: uchar\ndimension: {len(sizes.split())}\nspace: right-anterior-superior\nsizes: {sizes}\n"
+    head += f"space directions: {directions}\nencoding: raw\nspace origin: (0,0,0)\n\n"
+    (tmp_path / "ct.nrrd").write_bytes(head.encode() + bytes(8))
+    with pytest.raises(fb.FormatError, match=message):
+        fb.load(tmp_path / "ct.nrrd")
+
+
 @pytest.mark.parametrize("ending", [".dds", ".ktx2"])
 def test_unsigned_bytes_have_distance_0_at_their_middle(solid, ending, tmp_path):
     solid.save(tmp_path / f"v{ending}", encoding="unorm8", band=2)
@@ -489,6 +529,7 @@ def test_a_damaged_grid_is_a_format_error_or_other_samples(solid, tmp_path_facto
     small = fb.Volume(solid.distances[:9, :9, :9], [(0, 0, 0), (1, 1, 1)])
     path = tmp_path_factory.getbasetemp() / f"damaged{ending}"
     small.save(path)
+    drop_checksum(path)
     path.write_bytes(damaged(data, path.read_bytes()))
     try:
         found = fb.load(path)

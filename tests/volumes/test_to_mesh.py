@@ -1,6 +1,7 @@
 """Level sets as closed meshes: topology, edges and corners, bounds, levels, every kind of field."""
 
 import copy
+import importlib.util
 import pickle
 
 import numpy as np
@@ -437,3 +438,77 @@ def test_a_surface_gives_its_mesh_once():
     surface.mesh()
     with pytest.raises(fb.ArgumentError, match="made already"):
         surface.mesh()
+
+
+def scan_of_a_ball(radius=1.0, resolution=64, half=1.3):
+    """Intensities as in a CT scan: 1000 in a ball, -1000 around it, with a soft border."""
+    grid = fb.Volume(np.zeros((resolution,) * 3, np.float32), [(-half,) * 3, (half,) * 3])
+    places = np.stack(np.meshgrid(*grid.coordinates, indexing="ij"), axis=-1)
+    below = np.clip((radius - np.linalg.norm(places, axis=-1)) / 0.2, -1, 1)
+    return fb.Volume((1000 * below).astype(np.int16), grid.bounds)
+
+
+def test_intensities_are_solid_above_the_level():
+    scan = scan_of_a_ball()
+    ball = scan.to_mesh(0, inside="above")
+    assert_solid(ball, scan.bounds)
+    assert ball.volume == pytest.approx(4 * np.pi / 3, rel=1e-3)
+    assert np.abs(np.linalg.norm(ball.vertices, axis=1) - 1).max() <= 0.02 * scan.spacing.max()
+    # The border of intensities falls by 5000 for each world unit.
+    assert scan.to_mesh(-500, inside="above").volume == pytest.approx(4 * np.pi / 3 * 1.1**3, rel=2e-3)
+    assert ball.report.warnings == ()
+
+
+def test_a_field_whose_border_is_inside_names_the_option():
+    scan = scan_of_a_ball()
+    with pytest.warns(fb.SurfaceWarning, match=r'100% of the border .* level 0, .*inside="above"'):
+        negative = scan.to_mesh(0)
+    box = np.prod(scan.bounds[1] - scan.bounds[0])
+    assert negative.volume == pytest.approx(box - 4 * np.pi / 3, rel=1e-3)
+    assert len(negative.report.warnings) == 1
+
+
+@pytest.mark.filterwarnings("error::fieldbake.SurfaceWarning")
+def test_fields_of_distances_give_no_warning_of_their_border():
+    ball = fb.bake(fb.sphere(1), 24)
+    for volume in (ball, fb.Volume(ball.distances, ball.bounds), ball.to_sparse(), fb.merge([ball], 24)):
+        volume.to_mesh()
+
+
+@pytest.mark.parametrize("level", [0.0, 0.1])
+@pytest.mark.parametrize("geometry", ["mesh", "shape", "file"])
+def test_the_solid_above_is_the_rest_of_the_box(geometry, level):
+    shape = turned_box()
+    volume = fb.bake(shape.to_mesh(24) if geometry == "mesh" else shape, 24)
+    if geometry == "file":
+        volume = fb.Volume(volume.distances, volume.bounds)
+    box = np.prod(volume.bounds[1] - volume.bounds[0])
+    expected = box - volume.to_mesh(level).volume
+    fields = [volume, volume.quantize("snorm16"), volume.quantize("float16"), volume.to_sparse(band=6)]
+    for field in fields:
+        rest = field.to_mesh(level, inside="above")
+        assert_solid(rest, volume.bounds)
+        assert rest.volume == pytest.approx(expected, rel=2e-3)
+    if geometry != "file" and level == 0:
+        rest = volume.to_mesh(inside="above")
+        local = np.abs(rest.vertices @ turn_matrix((1.0, 2.0, 3.0), 40)).max(axis=1)
+        hole = local[local < 1 + 0.4 * volume.spacing.max()]
+        assert len(hole) > 500
+        assert np.abs(hole - 1).max() <= SHARP * volume.spacing.max()
+
+
+def test_merged_fields_and_stores_have_a_solid_above(tmp_path):
+    ball = fb.bake(meshes.icosphere(3), 32)
+    merged = fb.merge([ball], 32)
+    fields = [merged]
+    if importlib.util.find_spec("zarr") is not None:
+        fields.append(fb.bake_to_zarr(meshes.icosphere(3), tmp_path / "ball.zarr", 32, shard=32, chunk=16))
+    for field in fields:
+        rest = field.to_mesh(inside="above")
+        assert_solid(rest, field.bounds)
+        assert rest.volume == pytest.approx(np.prod(field.bounds[1] - field.bounds[0]) - 4 * np.pi / 3, rel=0.01)
+
+
+def test_the_side_of_the_solid_is_one_of_two_words():
+    with pytest.raises(fb.ArgumentError, match='inside: must be one of "below", "above"'):
+        fb.bake(fb.sphere(), 8).to_mesh(inside="over")

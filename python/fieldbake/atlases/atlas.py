@@ -29,6 +29,7 @@ from .pages import (
     PageStore,
     Texels,
     checked_item,
+    checked_name,
     entry_dtype,
     rows_of,
 )
@@ -69,6 +70,11 @@ class AtlasEntry:
         return self._index
 
     @property
+    def name(self) -> str:
+        """Name of the volume, see :attr:`Atlas.names`."""
+        return self._atlas._names[self._atlas._index(self._index)]
+
+    @property
     def resolution(self) -> tuple[int, int, int]:
         """Number of voxels along x, y and z."""
         return self._atlas.resolution(self._index)
@@ -98,7 +104,8 @@ class AtlasEntry:
         return "atlas", id(self._atlas), self._index, self._atlas._changes
 
     def __repr__(self) -> str:
-        return f"AtlasEntry({self._index} of {self._atlas!r})"
+        name = f" {self.name!r}" if self.name else ""
+        return f"AtlasEntry({self._index}{name} of {self._atlas!r})"
 
 
 class Atlas(PageStore, Viewable, Loadable):
@@ -191,7 +198,7 @@ class Atlas(PageStore, Viewable, Loadable):
         count = struct.pack("<i12x", len(entries)) if checks.flag("header", header) else b""
         return count + entries.tobytes()
 
-    def add(self, volume: Volume | SparseVolume, transform: ArrayLike | None = None) -> int:
+    def add(self, volume: Volume | SparseVolume, transform: ArrayLike | None = None, *, name: str = "") -> int:
         """Add a volume without moving the others.
 
         Parameters
@@ -200,6 +207,8 @@ class Atlas(PageStore, Viewable, Loadable):
             For strips: a cube of the same size as the others. A sparse volume is packed as its whole grid.
         transform : (4, 4) array, optional
             Model matrix of the entry.
+        name : str, optional
+            Name of the volume.
 
         Returns
         -------
@@ -213,7 +222,8 @@ class Atlas(PageStore, Viewable, Loadable):
         CapacityError
             If a new page does not fit in memory.
         """
-        return self._place([checked_item(0, volume if transform is None else (volume, transform))], None)[0]
+        item = checked_item(0, volume if transform is None else (volume, transform))
+        return self._place([item], [checked_name("name", name)], None)[0]
 
     def remove(self, i: int) -> None:
         """Remove a volume. Its texels become zero, and its index and area become free.
@@ -235,6 +245,7 @@ class Atlas(PageStore, Viewable, Loadable):
             self._blocks["page"][i] = VACANT
             self._boxes[i], self._models[i], self._scales[i] = 0, np.eye(4), 1
             self._reports[i] = Report()
+            self._names[i] = ""
             self._entries = None
             self._changes += 1
 
@@ -347,11 +358,12 @@ class Atlas(PageStore, Viewable, Loadable):
         ----------
         language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
             GLSL is that of WebGL 2 (ES 3.00). Newer versions accept it with another first line.
-        texels : "pages" or "png", optional
+        texels : "pages", "png" or "integers", optional
             Texels that are bound as the texture. ``"pages"``: the texels of :attr:`pages`, in the format R32_FLOAT,
             R16_FLOAT, R16_SNORM or R8_SNORM. ``"png"``: the unsigned integers of the .png that :meth:`save` writes, as
             R16_UNORM (R8_UNORM for snorm8); the text converts them to distances with the scales in the JSON beside the
-            .png. The default is ``"png"`` for an atlas that was loaded from a .png, otherwise ``"pages"``.
+            .png. ``"integers"``: the texels of :attr:`pages` of snorm16 or snorm8, as R16_SINT or R8_SINT. The default
+            is ``"png"`` for an atlas that was loaded from a .png, otherwise ``"pages"``.
 
         Returns
         -------
@@ -364,9 +376,16 @@ class Atlas(PageStore, Viewable, Loadable):
         Raises
         ------
         ArgumentError
-            For another language, or unknown texels.
+            For another language, unknown texels, or ``"integers"`` of float pages.
         AtlasError
             For strips without a volume, whose size is unknown.
+
+        Notes
+        -----
+        R16_SNORM and R16_UNORM are not in the core of WebGPU and WebGL 2. They need the feature
+        ``TEXTURE_FORMAT_16BIT_NORM`` of wgpu, ``"texture-formats-tier1"`` of WebGPU or ``EXT_texture_norm16`` of
+        WebGL 2. R16_SINT needs no feature. No device filters integers, so the text for ``"integers"`` lacks
+        ``atlas_sample_filtered``.
         """
         blocks = self._blocks[self._blocks["page"] != VACANT]
         if self._layout == "strips" and not len(blocks):
@@ -375,8 +394,8 @@ class Atlas(PageStore, Viewable, Loadable):
             )
         side = int(blocks["shape"][0, 0]) if len(blocks) else 0
         name = checks.text("language", language)
-        is_png = checks.choice("texels", self._texels if texels is None else texels, ("pages", "png")) == "png"
-        return _core.atlas_shader(name, self._layout, self._page_size, self._gutter, self._encoding, side, is_png)
+        chosen = checks.choice("texels", self._texels if texels is None else texels, ("pages", "png", "integers"))
+        return _core.atlas_shader(name, self._layout, self._page_size, self._gutter, self._encoding, side, chosen)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a file. An existing file is replaced only after the new file is complete.
@@ -405,6 +424,7 @@ class Atlas(PageStore, Viewable, Loadable):
                 arrays = {name: getattr(self, f"_{name}") for name in ("pages", *ARRAYS)}
                 arrays["blocks"] = rows_of(self._blocks)
                 arrays["reports"] = np.frombuffer(reports, np.uint8)
+                arrays["names"] = np.array(self._names, np.str_)
                 container.write(target, {**container.head("atlas", self._encoding), **self._facts()}, arrays)
                 return
             if not self._page_count:
@@ -427,6 +447,7 @@ class Atlas(PageStore, Viewable, Loadable):
         """Metadata of the volume in row `i` that the JSON beside an image stores."""
         inner_lower, inner_upper, lower, upper = self._boxes[i].tolist()
         return {
+            "name": self._names[i],
             **{name: self._blocks[name][i].tolist() for name in BLOCK.names or ()},
             "bounds": [lower, upper],
             "inner_bounds": [inner_lower, inner_upper],
@@ -491,6 +512,7 @@ def _normalised_copy(atlas: Atlas, encoding: Encoding) -> Atlas:
     )
     copy._blocks, copy._boxes, copy._models = atlas._blocks.copy(), atlas._boxes.copy(), atlas._models.copy()
     copy._scales, copy._reports = atlas._scales.copy(), list(atlas._reports)
+    copy._names = list(atlas._names)
     copy._pages = np.zeros(atlas._pages.shape, encodings.DTYPES[encoding])
     for i in atlas.indices:
         distances = atlas.unpack(i).distances

@@ -36,12 +36,12 @@ def write(target: Path, pages: NDArray[Any], facts: dict[str, Any]) -> None:
     is_float = stacked.dtype.kind == "f"
     content = write_grey(stacked, _unsigned) if is_png else write_channel(stacked if is_float else _shares(stacked))
     encoding = facts["encoding"]
-    sidecar.write_beside(target, {**head("atlas image", encoding), **texel_rule(ending, encoding), **facts})
-    with atomic_write(target) as stream:
-        stream.write(content)
     if is_png:
+        # The preview has a longer name, so a name that is too long is an error before the image is replaced.
         with atomic_write(target.with_suffix(".preview.png")) as stream:
             stream.write(write_grey(stacked, _preview))
+    with sidecar.write(target, {**head("atlas image", encoding), **texel_rule(ending, encoding), **facts}) as stream:
+        stream.write(content)
 
 
 def _shares(texels: NDArray[Any]) -> NDArray[np.float32]:

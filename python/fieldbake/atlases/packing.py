@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, Literal
 
 from numpy.typing import ArrayLike
@@ -17,7 +17,7 @@ from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
 from .atlas import Atlas
-from .pages import MAX_GUTTER, MAX_PAGE_SIZE, Layout, checked_item, fitting_page
+from .pages import MAX_GUTTER, MAX_PAGE_SIZE, Layout, checked_item, checked_name, fitting_page, name_of
 
 
 def pack(
@@ -31,6 +31,7 @@ def pack(
     band: float = DEFAULT_BAND,
     device: str = "auto",
     progress: Progress = None,
+    names: Sequence[str] | None = None,
 ) -> Atlas:
     """Pack volumes into the pages of an atlas.
 
@@ -65,6 +66,8 @@ def pack(
         host at their first use. ``"auto"`` packs on the hardware GPU if all volumes are there.
     progress : bool or callable, optional
         As for :func:`fieldbake.bake`.
+    names : sequence of str, optional
+        One name for each volume, see :attr:`Atlas.names`. By default files have their stem, and other volumes no name.
 
     Returns
     -------
@@ -104,8 +107,8 @@ def pack(
     gutter = checks.integer("gutter", gutter, least=0, most=MAX_GUTTER)
     encoding = checks.choice("encoding", encoding, encodings.NAMES)
     band = checks.number("band", band, above=0)
-    if page_size != "fit":
-        page_size = checks.integer('page_size (or "fit")', page_size, least=1, most=MAX_PAGE_SIZE)
+    fits = isinstance(page_size, str) and page_size == "fit"
+    side = 0 if fits else checks.integer('page_size (or "fit")', page_size, least=1, most=MAX_PAGE_SIZE)
     if isinstance(volumes, (Volume, SparseVolume)):
         raise ArgumentError(f"volumes: must be a list of volumes, got a {type(volumes).__name__}; put it in a list")
     try:
@@ -116,8 +119,18 @@ def pack(
     is_one = isinstance(resolution, int) and layout == "strips"
     sides = (resolution,) * 3 if is_one else resolution
     items = [checked_item(i, item, sides) for i, item in enumerate(listed)]  # type: ignore[arg-type]
-    if page_size == "fit":
-        page_size = fitting_page([volume.resolution for volume, _ in items], layout, gutter, encoding)
-    atlas = Atlas(layout=layout, page_size=page_size, gutter=gutter, encoding=encoding, band=band)
-    atlas._place(items, progress, checks.text("device", device))
+    if fits:
+        side = fitting_page([volume.resolution for volume, _ in items], layout, gutter, encoding)
+    names = [name_of(item) for item in listed] if names is None else _checked_names(names, len(items))
+    atlas = Atlas(layout=layout, page_size=side, gutter=gutter, encoding=encoding, band=band)
+    atlas._place(items, names, progress, checks.text("device", device))
     return atlas
+
+
+def _checked_names(names: Sequence[str], count: int) -> list[str]:
+    if isinstance(names, str):
+        raise ArgumentError(f"names: must be a list with a name for each volume, got the text {names!r}")
+    checked = [checked_name(f"names[{i}]", name) for i, name in enumerate(checks.items("names", names, "texts"))]
+    if len(checked) != count:
+        raise ArgumentError(f"names: must have a name for each of {count} volumes, got {len(checked)}")
+    return checked

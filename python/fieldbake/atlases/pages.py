@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import threading
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -25,8 +26,8 @@ from ..volumes.volume import Volume
 
 Layout = Literal["shelves", "strips"]
 
-#: Source of the texels in a shader: the pages themselves, or the unsigned integers of a .png.
-Texels = Literal["pages", "png"]
+#: Texels of a shader: the pages, the unsigned integers of a .png, or the integers of the pages.
+Texels = Literal["pages", "png", "integers"]
 
 #: Largest side of a page, and largest gutter, texels.
 MAX_PAGE_SIZE = 1 << 15
@@ -132,6 +133,7 @@ class PageStore:
         self._models = np.zeros((0, 4, 4))
         self._scales = np.zeros(0, np.float32)
         self._reports: list[Report] = []
+        self._names: list[str] = []
         # Default source of texels in the shader text: the .png if the atlas was loaded from one.
         self._texels: Texels = "pages"
         self._entries: NDArray[Any] | None = None
@@ -192,6 +194,14 @@ class PageStore:
         return tuple(np.flatnonzero(self._blocks["page"] != VACANT).tolist())
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the volumes, one for each index: the stems of files, or the names that were packed with them.
+
+        The name is empty for a volume without one, and for an index without a volume.
+        """
+        return tuple(self._names)
+
+    @property
     def fill(self) -> float:
         """Fraction of the texels of all pages that belong to a slice or its gutter."""
         blocks = self._blocks[self._blocks["page"] != VACANT]
@@ -204,9 +214,9 @@ class PageStore:
         return self._page_count * self._page_size**2 * DTYPES[self._encoding].itemsize
 
     def _place(
-        self, items: list[tuple[Volume, NDArray[np.float64]]], progress: Progress, device: str = "cpu"
+        self, items: list[tuple[Volume, NDArray[np.float64]]], names: list[str], progress: Progress, device: str = "cpu"
     ) -> list[int]:
-        """Plan positions for volumes, open pages and write their texels; return the indices."""
+        """Plan positions for named volumes, open pages and write their texels; return the indices."""
         shapes = np.array([volume.resolution for volume, _ in items], np.uint32).reshape(-1, 3)
         with self._lock:
             rows = _core.atlas_plan(
@@ -252,7 +262,8 @@ class PageStore:
             free += range(len(self._blocks), len(self._blocks) + len(items))
             indices = free[: len(items)]
             self._make_rows(max(indices, default=-1) + 1)
-            for i, block, scale, (volume, model) in zip(indices, blocks, scales, items, strict=True):
+            for i, name, block, scale, (volume, model) in zip(indices, names, blocks, scales, items, strict=True):
+                self._names[i] = name
                 self._blocks[i], self._models[i], self._scales[i] = block, model, scale
                 self._boxes[i] = [*volume.inner_bounds, *volume.bounds]
                 self._reports[i] = volume.report
@@ -280,6 +291,7 @@ class PageStore:
             self._models = np.concatenate([self._models, np.tile(np.eye(4), (more, 1, 1))])
             self._scales = np.concatenate([self._scales, np.ones(more, np.float32)])
             self._reports += [Report()] * more
+            self._names += [""] * more
 
     def _row(self, i: int) -> NDArray[np.uint32]:
         """The block of the volume with index `i` as a row for the core, (1, 10)."""
@@ -349,6 +361,19 @@ def checked_item(
         return bake(thing, resolution), placed
     except MeshError as error:
         raise ArgumentError(f"{wanted}, got {checks.describe(thing)} ({error})") from None
+
+
+def name_of(item: object) -> str:
+    """Return the name of an item to pack: the stem of a file; empty for others."""
+    thing = item[0] if isinstance(item, tuple) and len(item) == 2 else item
+    return Path(thing).stem if isinstance(thing, (str, os.PathLike)) else ""
+
+
+def checked_name(argument: str, value: object) -> str:
+    """Check the name of a volume, which may be empty."""
+    if not isinstance(value, str):
+        raise ArgumentError(f"{argument}: must be text, got {checks.describe(value)}")
+    return value
 
 
 def fitting_page(shapes: list[tuple[int, int, int]], layout: Layout, gutter: int, encoding: Encoding) -> int:

@@ -15,8 +15,8 @@ members:
 
 A nested field has ``level_0.npy``, ``level_1.npy``, ... instead of the distances, finest first, and their ``boxes``.
 
-An atlas has the header, ``pages.npy``, one row of ``blocks``, ``boxes``, ``models`` and ``scales`` per index, and the
-reports as JSON in bytes.
+An atlas has the header, ``pages.npy``, one row of ``blocks``, ``boxes``, ``models``, ``scales`` and ``names`` per
+index, and the reports as JSON in bytes.
 
 Members must be stored uncompressed, so the contents cannot exceed the size of the archive. The sizes in the zip
 directory, in the array headers and in the JSON are compared before memory is allocated. Nothing is unpickled.
@@ -28,8 +28,8 @@ import errno
 import json
 import os
 import zipfile
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import IO, Any
 
@@ -41,6 +41,7 @@ from .. import _core
 from ..base import checks
 from ..base.errors import FormatError
 from ..base.report import Report
+from . import temporary
 
 #: The newest version of the format, and the first version that contains each later kind.
 VERSION = 3
@@ -109,40 +110,59 @@ def listed(words: Iterable[str]) -> str:
 
 
 def check_target(target: Path) -> None:
-    """Raise an error if the folder of a file is missing, or if the path is a folder itself."""
+    """Raise an error if the folder of a file is missing, or if a file cannot replace what has this path."""
     if not target.parent.is_dir():
         raise FileNotFoundError(errno.ENOENT, "the folder does not exist", os.fspath(target))
     if target.is_dir():
         raise IsADirectoryError(errno.EISDIR, "is a directory", os.fspath(target))
+    if not target.exists():
+        return
+    if not target.is_file():
+        raise OSError(errno.EINVAL, "is a device or a pipe, and only files are replaced", os.fspath(target))
+    if not os.access(target, os.W_OK):
+        raise PermissionError(errno.EACCES, "is read-only", os.fspath(target))
+
+
+def followed(path: Path) -> Path:
+    """Return the file that a symbolic link points to, or else the path itself."""
+    if not path.is_symlink():
+        return path
+    real = Path(os.path.realpath(path))
+    if real.is_symlink():
+        raise OSError(errno.ELOOP, "is a loop of symbolic links", os.fspath(path))
+    return real
 
 
 @contextmanager
-def atomic_write(target: Path) -> Iterator[IO[bytes]]:
-    """Open a temporary file that replaces the target when the ``with`` block ends without an error."""
-    import tempfile
+def atomic_write(
+    target: Path, replacing: Callable[[IO[bytes]], AbstractContextManager[object]] = nullcontext
+) -> Iterator[IO[bytes]]:
+    """Open a temporary file that replaces the target when the ``with`` block ends without an error.
 
+    A symbolic link stays, and the file that it points to is replaced. Other hard links keep the old content. The
+    permissions are those of the old file, or those that `open` gives to a new one. ``replacing(stream)`` is entered
+    when the content is complete and left when the target is replaced.
+    """
     # An error raised here names the target. An error raised later would name the temporary file.
     check_target(target)
-    mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
-    descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")
-    temporary = Path(name)
+    real = followed(target)
+    check_target(real)
+    mode = real.stat().st_mode & 0o777 if real.exists() else None
+    stream = temporary.create(real.parent, 0o666 if mode is None else mode)
     try:
-        with os.fdopen(descriptor, "w+b") as stream:
+        with stream:
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
-        temporary.chmod(mode)
-        os.replace(temporary, target)  # noqa: PTH105 - the system call by its name
+            if mode is not None:
+                Path(stream.name).chmod(mode)
+            with replacing(stream):
+                if os.name == "nt":  # Windows renames closed files only.
+                    stream.close()
+                os.replace(stream.name, real)  # noqa: PTH105 - the system call by its name
     except BaseException:
-        temporary.unlink()
+        Path(stream.name).unlink(missing_ok=True)
         raise
-
-
-def _umask() -> int:
-    """Read the umask of the process, which is possible only by setting it."""
-    mask = os.umask(0o022)
-    os.umask(mask)
-    return mask
 
 
 def members(archive: zipfile.ZipFile, size: int) -> dict[str, zipfile.ZipInfo]:

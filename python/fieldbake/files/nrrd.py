@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import re
 import zlib
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,9 +117,8 @@ def read(data: bytes) -> GridSamples:
     if len(content) != size:
         raise FormatError(f"{sizes} samples need {size} bytes, the file has {len(content)}")
     samples = as_samples(np.frombuffer(content, dtype), sizes)
-    origin, spacing = _place(header)
     facts = sidecar.parse(pairs["fieldbake"]) if "fieldbake" in pairs else None
-    return GridSamples(samples, origin, spacing, facts)
+    return _placed(samples, *_place(header), facts)
 
 
 def _whole_numbers(header: dict[str, str], name: str) -> list[int]:
@@ -140,19 +139,38 @@ def _numbers(text: str) -> NDArray[np.float64]:
 
 
 def _place(header: dict[str, str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Read the centre of the first sample and the size of a voxel, (3,) each."""
+    """Read the centre of the first sample, (3,), and the step along each axis of the array, (3, 3), one row an axis."""
     if "space directions" in header:
         rows = [_numbers(text) for text in _VECTOR.findall(header["space directions"])]
         directions = np.array(rows).reshape(-1, 3)
-        spacing = np.diag(directions) if directions.shape == (3, 3) else np.zeros(3)
-        if not np.array_equal(directions, np.diag(spacing)):
-            raise FormatError("the axes of the grid are rotated or sheared; resample it onto an axis-aligned grid")
+        if directions.shape != (3, 3):
+            raise FormatError(f"the header must have three space directions, got {header['space directions'][:60]!r}")
         origin = _numbers(header["space origin"].strip("() ")) if "space origin" in header else np.zeros(3)
-    else:
-        spacing = _numbers(header["spacings"]) if "spacings" in header else np.ones(3)
-        origin = _numbers(header["axis mins"]) if "axis mins" in header else np.zeros(3)
-        if "axis mins" in header and "cell" in header.get("centerings", header.get("centers", "")):
-            origin = origin + spacing / 2
-    if not (spacing > 0).all():
-        raise FormatError(f"the voxels must have sizes above 0, got {spacing.tolist()}")
-    return origin, np.array(spacing)
+        return origin, directions
+    spacing = _numbers(header["spacings"]) if "spacings" in header else np.ones(3)
+    origin = _numbers(header["axis mins"]) if "axis mins" in header else np.zeros(3)
+    if "axis mins" in header and "cell" in header.get("centerings", header.get("centers", "")):
+        origin = origin + spacing / 2
+    return origin, np.diag(spacing)
+
+
+def _placed(
+    samples: NDArray[np.float32],
+    origin: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    facts: dict[str, Any] | None,
+) -> GridSamples:
+    """Turn the axes of an array so that they point along x, y and z. Scanners store some of them backwards."""
+    steps = directions != 0
+    if not ((steps.sum(axis=0) == 1).all() and (steps.sum(axis=1) == 1).all()):
+        if not directions.any(axis=1).all():
+            raise FormatError(f"the voxels must have sizes other than 0, got the steps {directions.tolist()}")
+        raise FormatError(
+            "the axes of the grid are rotated or sheared; resample it onto an axis-aligned grid, for example by "
+            '"Resample Scalar Volume" of 3D Slicer'
+        )
+    order = np.argmax(steps, axis=0)
+    samples, spacing = samples.transpose(order), directions[order, range(3)]
+    backwards = tuple(np.flatnonzero(spacing < 0).tolist())
+    origin = origin + np.where(spacing < 0, (np.array(samples.shape) - 1) * spacing, 0.0)
+    return GridSamples(np.asfortranarray(np.flip(samples, backwards)), origin, np.abs(spacing), facts)

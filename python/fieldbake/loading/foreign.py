@@ -9,6 +9,7 @@ unpacked.
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -34,30 +35,29 @@ from .npz import make_atlas, read_scale
 
 def load_volume(path: Path) -> Volume:
     """Read a grid that :meth:`Volume.save` or another program wrote."""
-    data = path.read_bytes()
     kind = path.suffix.lower()
-    if kind in (".dds", ".ktx2"):
-        return _read_texture(path, data)
-    if kind == ".vdb":
-        return _placed(_read_level_set(data))
+    if kind == ".dds":
+        data, own = sidecar.read_both(path)
+        texture = texture_files.read_dds(data)
+        return _decoded(texture.levels[0], texture.encoding, own)
     if kind == ".vf":
+        data, facts = sidecar.read(path)
         samples = vector_field.read(data)
-        if sidecar.beside(path).is_file():
-            return _own(samples, sidecar.read_beside(path))
+        if facts is not None:
+            return _own(samples, facts)
         # Unity's own fields have a longest side of 1, about the origin.
         spacing = np.full(3, 1 / max(samples.shape))
         return _placed(GridSamples(samples, (1 - np.array(samples.shape)) * spacing / 2, spacing))
     if kind == ".nvdb":
-        facts = sidecar.read_beside(path) if sidecar.beside(path).is_file() else None
+        data, facts = sidecar.read(path)
         return _placed(_on_grid(nanovdb_reader.read(data), facts))
+    data = path.read_bytes()
+    if kind == ".ktx2":
+        texture = texture_files.read_ktx2(data)
+        return _decoded(texture.levels[0], texture.encoding, sidecar.parse(texture.facts))
+    if kind == ".vdb":
+        return _placed(_read_level_set(data))
     return _placed(vti.read(data) if kind == ".vti" else nrrd.read(data))
-
-
-def _read_texture(path: Path, data: bytes) -> Volume:
-    is_dds = path.suffix.lower() == ".dds"
-    texture = texture_files.read_dds(data) if is_dds else texture_files.read_ktx2(data)
-    facts = sidecar.read_beside(path) if is_dds else sidecar.parse(texture.facts)
-    return _decoded(texture.levels[0], texture.encoding, facts)
 
 
 def _decoded(texels: NDArray[Any], encoding: str, facts: dict[str, Any]) -> Volume:
@@ -136,21 +136,27 @@ def _placed(grid: GridSamples) -> Volume:
 
 def load_sheet(path: Path) -> Volume | Atlas:
     """Read an .exr image: the sheet of a volume or the pages of an atlas, as its sidecar states."""
-    facts = sidecar.read_beside(path)
+    content, facts = sidecar.read_both(path)
     if facts.get("kind") != "volume texture":
-        return load_image(path)
+        return _atlas(content, facts, _read_exr)
     sidecar.expect(facts, "volume texture")
     sizes = facts.get("resolution")
     sheet = flipbook.read_sheet(facts.get("sheet"), sizes if isinstance(sizes, list) else [])
     encoding = checks.choice("encoding", facts.get("encoding"), ("float32", "float16"), FormatError)
-    content = _core.exr_read(path.read_bytes(), *sheet.size, encoding)
-    pixels = np.frombuffer(bytearray(content), encodings.DTYPES[encoding])
+    texels = _core.exr_read(content, *sheet.size, encoding)
+    pixels = np.frombuffer(bytearray(texels), encodings.DTYPES[encoding])
     return _decoded(flipbook.from_pixels(pixels, sheet), encoding, facts)
 
 
 def load_image(path: Path) -> Atlas:
-    """Read a file that :meth:`Atlas.save` wrote."""
-    facts = sidecar.read_beside(path)
+    """Read a .png file that :meth:`Atlas.save` wrote."""
+    atlas = _atlas(*sidecar.read_both(path), _read_png)
+    atlas._texels = "png"
+    return atlas
+
+
+def _atlas(content: bytes, facts: dict[str, Any], read: Callable[[bytes, int, int, str], NDArray[Any]]) -> Atlas:
+    """Make the atlas of an image with the metadata of its file; `read` decodes its texels."""
     sidecar.expect(facts, "atlas image")
     try:
         size = checks.integer("page_size", facts.get("page_size"), least=1, most=1 << 15)
@@ -158,9 +164,7 @@ def load_image(path: Path) -> Atlas:
         encoding = checks.choice("encoding", facts.get("encoding"), encodings.NAMES)
     except ArgumentError as error:
         raise FormatError(str(error)) from None
-    is_png = path.suffix.lower() == ".png"
-    read = _read_png if is_png else _read_exr
-    pages = read(path, size, count * size, encoding).reshape(count, size, size)
+    pages = read(content, size, count * size, encoding).reshape(count, size, size)
     volumes = facts.get("volumes")
     if not isinstance(volumes, list):
         raise FormatError("volumes must be a list")
@@ -170,9 +174,8 @@ def load_image(path: Path) -> Atlas:
         name: np.array(columns[name], kind).reshape(-1, *shape) for name, (kind, shape) in kinds.items()
     }
     arrays["scales"] = np.array(columns["scales"], np.float32)
-    atlas = make_atlas(facts, arrays, columns["report"], pages)
-    atlas._texels = "png" if is_png else "pages"
-    return atlas
+    names = [volume.get("name", "") for volume in volumes]
+    return make_atlas(facts, arrays, columns["report"], names, pages)
 
 
 def _column(facts: Any, name: str) -> Any:
@@ -192,8 +195,8 @@ def _column(facts: Any, name: str) -> Any:
 # --- images
 
 
-def _read_exr(path: Path, width: int, height: int, encoding: str) -> NDArray[Any]:
-    content = _core.exr_read(path.read_bytes(), width, height, encoding)
+def _read_exr(data: bytes, width: int, height: int, encoding: str) -> NDArray[Any]:
+    content = _core.exr_read(data, width, height, encoding)
     if encoding.startswith("float"):
         return np.frombuffer(bytearray(content), encodings.DTYPES[encoding])
     values = np.frombuffer(content, np.float32)
@@ -203,7 +206,7 @@ def _read_exr(path: Path, width: int, height: int, encoding: str) -> NDArray[Any
     return np.round(values.astype(np.float64) * np.iinfo(texel).max).astype(texel)
 
 
-def _read_png(path: Path, width: int, height: int, encoding: str) -> NDArray[Any]:
+def _read_png(data: bytes, width: int, height: int, encoding: str) -> NDArray[Any]:
     from PIL.PngImagePlugin import PngImageFile
 
     if not encoding.startswith("snorm"):
@@ -212,7 +215,7 @@ def _read_png(path: Path, width: int, height: int, encoding: str) -> NDArray[Any
     # Image.open is not used, because it refuses large images as decompression bombs. The size is compared before
     # decoding.
     try:
-        with PngImageFile(io.BytesIO(path.read_bytes())) as image:
+        with PngImageFile(io.BytesIO(data)) as image:
             modes = ("L",) if texel.itemsize == 1 else ("I;16", "I")
             if image.size != (width, height) or image.mode not in modes:
                 told = f"{image.size} {image.mode}, the metadata states {(width, height)} {encoding}"

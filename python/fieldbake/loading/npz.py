@@ -96,7 +96,9 @@ def _read_nested(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], 
 def _read_atlas(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], header: dict[str, Any]) -> Atlas:
     arrays = {name: read_array(archive, members, f"{name}.npy") for name in (*ARRAYS, "pages", "reports")}
     reports = json.loads(arrays.pop("reports").tobytes())
-    return make_atlas(header, arrays, reports, arrays.pop("pages"))
+    # Files of earlier versions have no names.
+    names = read_array(archive, members, "names.npy").tolist() if "names.npy" in members else None
+    return make_atlas(header, arrays, reports, names, arrays.pop("pages"))
 
 
 #: Reader of each kind of file.
@@ -149,7 +151,9 @@ def _check_scales(encoding: str, scales: list[float]) -> None:
         raise FormatError(f"header: {error}") from None
 
 
-def make_atlas(header: dict[str, Any], arrays: dict[str, NDArray[Any]], reports: Any, pages: NDArray[Any]) -> Atlas:
+def make_atlas(
+    header: dict[str, Any], arrays: dict[str, NDArray[Any]], reports: Any, names: Any, pages: NDArray[Any]
+) -> Atlas:
     """Check the contents of a file and compare them with each other, then make an atlas of them."""
     try:
         atlas = Atlas(
@@ -206,9 +210,14 @@ def make_atlas(header: dict[str, Any], arrays: dict[str, NDArray[Any]], reports:
     _check_scales(atlas.encoding, arrays["scales"].tolist())
     if not isinstance(reports, list) or len(reports) != rows:
         raise FormatError(f"there must be {rows} reports")
+    if names is None:
+        names = [""] * rows
+    if not isinstance(names, list) or len(names) != rows or not all(isinstance(name, str) for name in names):
+        raise FormatError(f"there must be {rows} names")
 
     atlas._pages = pages
     atlas._blocks, atlas._boxes, atlas._models, atlas._scales = blocks, boxes, arrays["models"], arrays["scales"]
+    atlas._names = names
     atlas._reports = [read_report({"report": facts}) for facts in reports]
     return atlas
 

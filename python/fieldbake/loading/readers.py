@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from ..atlases import images
 from ..atlases.atlas import Atlas
 from ..base import checks
-from ..base.errors import FormatError
+from ..base.errors import CapacityError, FormatError
 from ..volumes import writers
 from ..volumes.volume import Volume
 from .foreign import load_image, load_sheet, load_volume
@@ -49,6 +49,8 @@ def load(path: str | os.PathLike[str]) -> Any:
         If there is no such file.
     FormatError
         If the file is of another kind, damaged, unsafe to read, or written by a newer version.
+    CapacityError
+        If the content does not fit in memory.
 
     Examples
     --------
@@ -63,6 +65,7 @@ def load(path: str | os.PathLike[str]) -> Any:
     file = checks.path(path)
     if file.is_dir():
         raise FormatError(f"{file}: is a directory, not a fieldbake file; open_zarr opens a Zarr store")
+    checks.finite_file(file, FormatError)
     with file.open("rb") as stream:
         size = os.fstat(stream.fileno()).st_size
         try:
@@ -76,8 +79,10 @@ def load(path: str | os.PathLike[str]) -> Any:
             if file.suffix.lower() == ".npz":
                 raise FormatError(f"{file}: is damaged or not an .npz file ({error})") from None
             raise FormatError(f"{file}: is not a fieldbake file; meshes are read by load_mesh or bake") from None
-        except MemoryError:
+        except CapacityError:
             raise
+        except MemoryError as error:
+            raise checks.too_large(file) from error
         except Exception as error:  # Readers of damaged archives raise exceptions of any type.
             if isinstance(error, OSError) and error.errno != errno.EINVAL:
                 raise

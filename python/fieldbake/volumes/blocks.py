@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..base.grid import Grid
+from ..base.progress import part
 
 #: Cells along the side of a block. Smaller blocks evaluate fewer samples far from the surface, but share more samples
 #: on their faces.
@@ -87,7 +88,8 @@ def level_set(
     while True:
         centers = lower + (origins + side / 2 + 0.5) * spacing
         reach = side / 2 * float(np.linalg.norm(spacing))
-        values = np.asarray(evaluate(centers), dtype=np.float64) - level
+        with part(0.0, 0.1):
+            values = np.asarray(evaluate(centers), dtype=np.float64) - level
         # The box cuts the solid in blocks that are inside everywhere.
         cut = (values < 0) & ((origins < 0) | (origins + side >= shape)).any(axis=1)
         # Values are float32. A relative margin of 1e-5 covers their rounding.
@@ -100,11 +102,13 @@ def level_set(
         origins = origins[(origins < shape).all(axis=1)]
 
     blocks = _Crossed(samples, grid, level)
-    blocks.add(origins)
-    while len(origins):
-        origins = blocks.entered()
+    with part(0.1, 0.9):
         blocks.add(origins)
-    return blocks.cells.surface()
+    with part(0.9, 1.0):
+        while len(origins):
+            origins = blocks.entered()
+            blocks.add(origins)
+        return blocks.cells.surface()
 
 
 class _Crossed:
@@ -130,7 +134,8 @@ class _Crossed:
         self.known = np.union1d(self.known, self.numbers(origins))
         for first in range(0, len(origins), BATCH):
             batch = origins[first : first + BATCH]
-            samples = np.asarray(self.evaluate(Blocks(self.grid, batch)), dtype=np.float32)
+            with part(first / len(origins), (first + len(batch)) / len(origins)):
+                samples = np.asarray(self.evaluate(Blocks(self.grid, batch)), dtype=np.float32)
             inside = self.inside(batch, samples)
             crossed = inside.any(axis=1) & ~inside.all(axis=1)
             kept = samples[crossed].reshape(-1, SIDE + 1, SIDE + 1, SIDE + 1)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from ..base import checks
 from ..base.encodings import Encoding
+from ..base.errors import ArgumentError
 from ..base.loadable import Loadable
 from ..base.progress import Progress
 from ..base.report import Report, bytes_text
@@ -91,6 +92,8 @@ class Volume(StoredSamples, Loadable, Shaded):
         inner_bounds: ArrayLike | None = None,
         report: Report | None = None,
     ) -> None:
+        if report is not None and not isinstance(report, Report):
+            raise ArgumentError(f"report: must be a Report, got {checks.describe(report)}")
         box = checks.box("bounds", bounds)
         inner = box.copy() if inner_bounds is None else checks.box("inner_bounds", inner_bounds, flat=True)
         self._set(np.array(check_distances(distances), order="F"), box, inner, report or Report())

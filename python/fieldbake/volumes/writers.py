@@ -197,13 +197,12 @@ def _texture(file: _File) -> None:
         for shape in texture_files.level_shapes(file.field.resolution)[1:]:
             levels.append(_core.resample(levels[-1], *corners, shape, scale=1.0))
     texture = texture_files.Texture(encoding, [_texels(level, encoding, scale) for level in levels], json.dumps(facts))
-    with atomic_write(file.target) as stream:
-        if file.target.suffix.lower() == ".dds":
-            texture_files.write_dds(stream, texture)
-        else:
-            texture_files.write_ktx2(stream, texture, "rui" if file.field.way.handedness == "left" else "ruo", WRITER)
     if file.target.suffix.lower() == ".dds":
-        sidecar.write_beside(file.target, facts)
+        with sidecar.write(file.target, facts) as stream:
+            texture_files.write_dds(stream, texture)
+    else:
+        with atomic_write(file.target) as stream:
+            texture_files.write_ktx2(stream, texture, "rui" if file.field.way.handedness == "left" else "ruo", WRITER)
 
 
 def _texel_facts(target: Path, encoding: str, scale: float, facts: dict[str, Any]) -> dict[str, Any]:
@@ -225,8 +224,7 @@ def _sheet(file: _File) -> None:
     pixels = flipbook.to_pixels(_texels(file.field.distances, encoding, scale), sheet)
     content = write_channel(pixels)
     facts = {**_texel_facts(file.target, encoding, scale, file.field.facts), "sheet": sheet.facts()}
-    sidecar.write_beside(file.target, facts)
-    with atomic_write(file.target) as stream:
+    with sidecar.write(file.target, facts) as stream:
         stream.write(content)
     if file.field.way.engine == "unity":
         flipbook.write_unity(file.target, sheet, encoding)
@@ -235,9 +233,8 @@ def _sheet(file: _File) -> None:
 
 
 def _vector_field(file: _File) -> None:
-    with atomic_write(file.target) as stream:
+    with sidecar.write(file.target, _texel_facts(file.target, "float32", 1.0, file.field.facts)) as stream:
         vector_field.write(stream, file.field.distances)
-    sidecar.write_beside(file.target, _texel_facts(file.target, "float32", 1.0, file.field.facts))
 
 
 def _level_set(file: _File) -> None:
@@ -255,15 +252,14 @@ def _level_set(file: _File) -> None:
         **_texel_facts(file.target, file.options.encoding or "float32", 1.0, file.field.facts),
         "band": blocks.band,
     }
-    with atomic_write(file.target) as stream:
-        if file.target.suffix.lower() == ".vdb":
+    if file.target.suffix.lower() == ".vdb":
+        with atomic_write(file.target) as stream:
             strings = {"creator": WRITER, "fieldbake": json.dumps(facts)}
             is_zipped, is_half = file.options.compression != "none", file.options.encoding == "float16"
             openvdb.write(stream, blocks, strings, name=GRID_NAME, zipped=is_zipped, half=is_half)
-        else:
+    else:
+        with sidecar.write(file.target, facts) as stream:
             nanovdb.write(stream, blocks, name=GRID_NAME)
-    if file.target.suffix.lower() == ".nvdb":
-        sidecar.write_beside(file.target, facts)
 
 
 def _grid(file: _File) -> None:
