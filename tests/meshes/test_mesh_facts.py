@@ -197,6 +197,18 @@ def test_unknown_endings_are_named(tmp_path):
         fb.Mesh(*meshes.box()).save(tmp_path / "a.xyz")
 
 
+def test_the_unit_sphere_is_about_the_centre_of_the_box():
+    """The formula of mesh_to_sdf: subtract the centre of the box, divide by the largest distance from there."""
+    corners, faces = meshes.tetrahedron()
+    corners = corners * (1, 2, 5) + (30, 0, -7)
+    centered = corners - (corners.min(axis=0) + corners.max(axis=0)) / 2
+    expected = centered / np.linalg.norm(centered, axis=1).max()
+
+    unit, _ = fb.normalize((corners, faces), "unit sphere")
+
+    assert np.abs(unit.vertices - expected).max() <= 1e-14
+
+
 @pytest.mark.parametrize("target", ["unit cube", "unit sphere"])
 def test_normalised_meshes_fit(target):
     geometry = meshes.scale_and_shift(meshes.knot(48, 6), 70, (1e4, -3, 5))
@@ -288,3 +300,16 @@ def test_dlpack_arrays_are_taken():
 
     assert mesh.volume == pytest.approx(8)
     assert fb.signed_distance(mesh, OnlyDlpack(np.zeros((4, 3), np.float32))).tolist() == [-1] * 4
+
+
+def test_a_manifold_is_the_same_solid():
+    manifold3d = pytest.importorskip("manifold3d")
+    gear = fb.models.gear()
+    solid = gear.to_manifold()
+    assert isinstance(solid, manifold3d.Manifold)
+    assert solid.volume() == pytest.approx(gear.volume, rel=1e-12)
+    # Each face has vertices of its own, as in an STL file.
+    split = fb.Mesh(gear.vertices[gear.faces].reshape(-1, 3), np.arange(3 * len(gear.faces)).reshape(-1, 3))
+    assert split.to_manifold().volume() == pytest.approx(gear.volume, rel=1e-12)
+    with pytest.raises(fb.MeshError, match=r"to_manifold: .*solid makes a closed one"):
+        fb.Mesh(gear.vertices, gear.faces[1:]).to_manifold()

@@ -11,9 +11,8 @@ import itertools
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,11 +25,16 @@ from .input_arrays import check_colors, check_faces, check_uv, check_vertices
 from .mesh import Mesh
 from .neighbours import triangles_of
 from .part import ALPHA_MODES, Part
+from .ply_strips import with_strips
+from .referenced_files import resolver_beside
 
 #: Type of every argument for a mesh: a Mesh, a path, a trimesh.Trimesh or trimesh.Scene, (vertices, faces), or a list
 #: of these, each optionally as (object, transform).
 MeshLike = Any
 
+
+#: Reasons for errors of readers that have no text.
+_NAMELESS: dict[type, str] = {AssertionError: "its parts contradict each other; is it complete?"}
 
 #: Bytes of a PLY or OFF file that certainly contain its header.
 HEAD_BYTES = 1 << 16
@@ -68,7 +72,9 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
     ----------
     path : str or path
         A file of any format that trimesh reads: OBJ, PLY, STL, OFF, GLB, glTF, ... A scene becomes one mesh with the
-        transforms of its nodes applied. Textures are read from the folder of the file.
+        transforms of its nodes applied; nodes of scale 0 are hidden. Textures and buffers are read from the folder of
+        the file and from folders in it, where symbolic links are followed. Meshes compressed by Draco need the extra
+        ``draco``.
 
     Returns
     -------
@@ -258,9 +264,13 @@ def _read_file(path: str | os.PathLike[str], take: Callable[[Any, Document | Non
     file = checks.path(path, "mesh", MeshError)
     if file.is_dir():
         raise MeshError(f"{path}: is a directory, not a mesh file")
+    checks.finite_file(file, MeshError)
     # Opening the file here keeps FileNotFoundError and PermissionError unchanged.
     with file.open("rb") as stream:
-        head = stream.read(None if file.suffix.lower() in (".obj", ".glb", ".gltf") else HEAD_BYTES)
+        try:
+            head = stream.read(None if file.suffix.lower() in (".obj", ".glb", ".gltf") else HEAD_BYTES)
+        except MemoryError as error:
+            raise checks.too_large(file) from error
 
     import trimesh
 
@@ -275,18 +285,25 @@ def _read_file(path: str | os.PathLike[str], take: Callable[[Any, Document | Non
             if file.suffix.lower() in (".glb", ".gltf"):
                 document = Document(head, file.suffix.lower() == ".glb")
                 source, options = io.BytesIO(document.content), {"file_type": file.suffix.lower()[1:]}
-            scene = trimesh.load_scene(source, process=False, resolver=_resolver(file), **options)
+            resolver = resolver_beside(file)
+            scene = trimesh.load_scene(source, process=False, resolver=resolver, **options)
+            if resolver.refused is not None:
+                raise resolver.refused
+            if document is not None:
+                document.check(scene)
             pieces = take(scene, document)
         _check_is_whole(_announced_faces(file.suffix.lower(), head), sum(len(piece.faces) for piece in pieces))
     except MeshError:
         raise
+    except MemoryError as error:
+        raise checks.too_large(file) from error
     except NotImplementedError as error:
         raise MeshError(
             f"{path}: unknown kind of file '{file.suffix}'; meshes are read from .obj, .ply, .stl, .off, .glb, .gltf, "
             ".3mf, .dae and others that trimesh reads"
         ) from error
     except Exception as error:  # Readers of damaged files raise exceptions of any type.
-        reason = str(error) or type(error).__name__
+        reason = str(error) or _NAMELESS.get(type(error), type(error).__name__)
         raise MeshError(f"{path}: cannot be read as a mesh ({file.suffix.lstrip('.').upper()}): {reason}") from error
     if document is not None:
         document.warn(os.fspath(path))
@@ -300,12 +317,10 @@ def load_nodes(path: str | os.PathLike[str]) -> list[tuple[Mesh, NDArray[np.floa
 
     def take(scene: Any, document: Document | None) -> list[_Piece]:
         pieces = {}
-        for node in scene.graph.nodes_geometry:
-            transform, key = scene.graph[node]
-            geometry = scene.geometry[key]
+        for world_from_node, key, geometry in _visible_nodes(scene, str(path)):
             if hasattr(geometry, "faces") and len(geometry.faces) > 0:
                 keys.append(key)
-                transforms.append(checks.affine(f"{path}: transform of node '{node}'", transform, MeshError))
+                transforms.append(world_from_node)
                 if key not in pieces:
                     pieces[key] = _from_trimesh(geometry, key, document)
         if not pieces:
@@ -338,32 +353,26 @@ def _check_is_whole(announced: int, faces: int) -> None:
         raise ValueError(f"its header announces {announced} faces, it has {faces}; is it complete?")
 
 
-def _resolver(file: Path) -> Any:
-    """Make a resolver that finds textures beside the file, also under names with Windows separators."""
-    from trimesh.resolvers import FilePathResolver
-
-    class Resolver(FilePathResolver):
-        def get(self, name: str) -> bytes:
-            found: bytes = super().get(name.strip().replace("\\", "/"))
-            return found
-
-    return Resolver(str(file))
+def _visible_nodes(scene: Any, name: str) -> Iterator[tuple[NDArray[np.float64], str, Any]]:
+    """Yield the world-from-node transform, the key and the geometry of each node; a node of scale 0 is hidden."""
+    for node in scene.graph.nodes_geometry:
+        transform, key = scene.graph[node]
+        if np.any(np.asarray(transform)[:3, :3]):
+            world_from_node = checks.affine(f"{name}: transform of node '{node}'", transform, MeshError)
+            yield world_from_node, key, with_strips(scene.geometry[key])
 
 
 def _from_scene(scene: Any, name: str, document: Document | None = None) -> list[_Piece]:
     """List a piece for every node of a trimesh.Scene with triangles."""
     pieces = []
     others = []
-    for node in scene.graph.nodes_geometry:
-        transform, key = scene.graph[node]
-        geometry = scene.geometry[key]
+    for world_from_node, key, geometry in _visible_nodes(scene, name):
         if hasattr(geometry, "faces"):
-            world_from_node = checks.affine(f"{name}: transform of node '{node}'", transform, MeshError)
             pieces.append(_from_trimesh(geometry, key, document).transformed(world_from_node))
         else:
             others.append(type(geometry).__name__)
     if not pieces:
-        found = f"found only {', '.join(sorted(set(others)))}" if others else "it is empty"
+        found = f"found only {', '.join(sorted(set(others)))}" if others else "it is empty, or all nodes have scale 0"
         raise MeshError(f"{name}: has no triangles ({found})")
     return pieces
 

@@ -9,12 +9,16 @@ from __future__ import annotations
 import copy
 import json
 import struct
-import warnings
 from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..base.errors import MaterialWarning
+from ..base.notices import warn
+from ..base.optional import optional_module
+from .gltf_accessors import DRACO, check_accessors, uses_draco
 
 #: Names under which trimesh returns colours and sets of texture coordinates.
 COLOR, COORDINATES = "_FIELDBAKE_COLOR", "_FIELDBAKE_UV"
@@ -22,7 +26,7 @@ COLOR, COORDINATES = "_FIELDBAKE_COLOR", "_FIELDBAKE_UV"
 #: Extensions that are read here, by trimesh or by `load_scene`.
 KNOWN = {
     "EXT_texture_webp",
-    "KHR_draco_mesh_compression",
+    DRACO,
     "KHR_lights_punctual",
     "KHR_materials_emissive_strength",
     "KHR_materials_pbrSpecularGlossiness",
@@ -55,6 +59,10 @@ class Document:
         self._unused: set[str] = set()
 
         tagged = copy.deepcopy(self.tree)
+        check_accessors(tagged)
+        self._uses_draco = uses_draco(tagged)
+        if self._uses_draco:
+            optional_module("DracoPy", "a mesh compressed by Draco", extra="draco")
         for number, material in enumerate(tagged.get("materials", [])):
             material["name"] = str(number)
         for mesh in tagged.get("meshes", []):
@@ -73,6 +81,14 @@ class Document:
             text = header + struct.pack("<I4s", len(text), b"JSON") + text + rest
         #: The edited file for trimesh.
         self.content: bytes = text
+
+    def check(self, scene: Any) -> None:
+        """Raise ValueError if trimesh has left compressed arrays as they are; it then only logs the failure."""
+        if self._uses_draco and any(not len(getattr(found, "vertices", [0])) for found in scene.geometry.values()):
+            raise ValueError(
+                "the data compressed by Draco cannot be decoded; they are damaged, or trimesh is older than 5.0: "
+                "pip install 'fieldbake[draco]'"
+            )
 
     def read(self, mesh: Any) -> dict[str, Any]:
         """Read the colours, coordinates and material of a mesh that trimesh made of the file.
@@ -152,7 +168,7 @@ class Document:
         unknown = set(self.tree.get("extensionsUsed", [])) - KNOWN
         unused = [*sorted(self._unused), *(f"extension {name}" for name in sorted(unknown))]
         if unused:
-            warnings.warn(f"{path}: not used: {', '.join(unused)}", stacklevel=2)
+            warn(f"{path}: not used: {', '.join(unused)}", MaterialWarning)
 
 
 def _placement(texture: dict[str, Any]) -> tuple[int, tuple[float, ...], float, tuple[float, ...]]:

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..base import checks
+from ..base.notices import warn_surface
+from ..base.progress import part
 from ..base.report import SurfaceReport
 from .convert import as_mesh
 from .mesh import Mesh
@@ -41,6 +43,9 @@ class Source(Protocol):
     def apply(self, surface: _core.Surface, level: float) -> None:
         """Set the tangent planes of `surface`, the level set of the field at `level`, and join those around it."""
 
+    def opposite(self) -> Source:
+        """Make the source of the negative field, whose inside is the outside of this one."""
+
 
 @dataclass(frozen=True)
 class MeshSource:
@@ -60,10 +65,21 @@ class MeshSource:
         elif not surface.join_offset(self.mesh._core, level, unsigned=self.half_thickness is not None):
             join_probes(surface, lambda points: self._planes(points, level))
 
+    def opposite(self) -> FieldSource:
+        """Make the source of the negative distance."""
+        mesh, sign, shift = self.mesh._core, self._sign, self.half_thickness or 0.0
+        return FieldSource(
+            lambda points: shift - _core.query(mesh, points, sign=sign)[0],
+            lambda points: -_core.query(mesh, points, sign=sign)[1],
+        )
+
+    @property
+    def _sign(self) -> str:
+        return "auto" if self.half_thickness is None else "unsigned"
+
     def _planes(self, points: NDArray[np.float64], level: float) -> Planes:
         """Evaluate the planes of the nearest faces; at other levels than zero, of spheres around the nearest points."""
-        sign = "auto" if self.half_thickness is None else "unsigned"
-        distances, gradients, nearest, faces, *_ = _core.query(self.mesh._core, points, sign=sign)
+        distances, gradients, nearest, faces, *_ = _core.query(self.mesh._core, points, sign=self._sign)
         if level != 0:
             return points + gradients * (level - distances)[:, None], gradients
         normals = self.mesh.face_normals[faces]
@@ -80,6 +96,11 @@ class ShapeSource:
     def apply(self, surface: _core.Surface, level: float) -> None:
         """Find the root on each crossed edge and the tangent plane there, then the planes around the vertices."""
         surface.use_shape(self.shape, level)
+
+    def opposite(self) -> FieldSource:
+        """Make the source of the negative field."""
+        shape = self.shape
+        return FieldSource(lambda points: -shape.distance(points, "cpu"), lambda points: -shape.gradient(points))
 
 
 @dataclass(frozen=True)
@@ -105,6 +126,12 @@ class FieldSource:
         normals[found] = self.gradient(points[found])
         surface.use_planes(points, normals)
         join_probes(surface, lambda points: self._planes(points, level))
+
+    def opposite(self) -> FieldSource:
+        """Make the source of the negative field."""
+        return FieldSource(
+            lambda points: np.negative(self.evaluate(points)), lambda points: np.negative(self.gradient(points))
+        )
 
     def _planes(self, points: NDArray[np.float64], level: float) -> Planes:
         """Move points to the level set by Newton's method, and evaluate the planes there.
@@ -187,14 +214,26 @@ def join_probes(surface: _core.Surface, planes: Callable[[NDArray[np.float64]], 
             normals = np.empty_like(points)
             for first in range(0, len(points), BATCH):
                 rows = slice(first, first + BATCH)
-                points[rows], normals[rows] = planes(points[rows])
+                with part(first / len(points), min(1.0, (first + BATCH) / len(points))):
+                    points[rows], normals[rows] = planes(points[rows])
             surface.join_planes(points, normals)
 
 
-def extract(surface: _core.Surface, level: float, source: Source | None, *, sharp: bool, capped: bool) -> Mesh:
-    """Extract the mesh of a level set; see :meth:`fieldbake.Volume.to_mesh`."""
+def extract(
+    surface: _core.Surface,
+    level: float,
+    source: Source | None,
+    *,
+    sharp: bool,
+    capped: bool,
+    warnings: tuple[str, ...] = (),
+) -> Mesh:
+    """Extract the mesh of a level set; see :meth:`fieldbake.Volume.to_mesh`. Its report has the `warnings`."""
     sharp, capped = checks.flag("sharp", sharp), checks.flag("capped", capped)
+    warn_surface(warnings)
     if sharp and source is not None:
-        source.apply(surface, level)
-    vertices, faces, clamped = surface.mesh(sharp=sharp, capped=capped)
-    return Mesh._extracted(vertices, faces, SurfaceReport(clamped_vertices=clamped))
+        with part(0.0, 0.6):
+            source.apply(surface, level)
+    with part(0.6, 1.0):
+        vertices, faces, clamped = surface.mesh(sharp=sharp, capped=capped)
+    return Mesh._extracted(vertices, faces, SurfaceReport(clamped_vertices=clamped, warnings=warnings))

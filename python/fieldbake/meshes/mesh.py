@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from ..base import checks
 from ..base.errors import MeshError
+from ..base.optional import optional_module
 from ..base.report import SurfaceReport
 from ..base.viewable import Viewable
 from . import facts
@@ -329,6 +330,42 @@ class Mesh(Viewable):
         import trimesh
 
         return trimesh.Trimesh(self.vertices, self.faces.astype(np.int64), process=False)
+
+    def to_manifold(self) -> Any:
+        """Convert the geometry to a `manifold3d.Manifold`, in float64.
+
+        Returns
+        -------
+        manifold3d.Manifold
+            The solid, with vertices at equal positions joined.
+
+        Raises
+        ------
+        MeshError
+            If the mesh is not closed, or faces beside each other are oriented differently.
+        Error
+            If manifold3d (extra ``simplify``) is not installed.
+
+        Notes
+        -----
+        Arrays of a mesh are read-only. Some libraries, among them all that use nanobind with plain arrays, refuse
+        them; ``np.array(mesh.vertices)`` is a writable copy.
+
+        Examples
+        --------
+        >>> import fieldbake as fb
+        >>> solid = fb.models.gear().to_manifold()  # doctest: +SKIP
+        """
+        package: Any = optional_module("manifold3d", "to_manifold", extra="simplify")
+        mesh = package.Mesh64(np.array(self.vertices), np.array(self.faces, np.uint64))
+        mesh.merge()
+        solid = package.Manifold(mesh)
+        if solid.status() != package.Error.NoError:
+            raise MeshError(
+                f"to_manifold: manifold3d cannot read the mesh of {len(self.faces):,} faces: {solid.status().name}; "
+                "fieldbake.solid makes a closed one"
+            )
+        return solid
 
     def __repr__(self) -> str:
         if not len(self.faces):
