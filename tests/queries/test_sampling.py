@@ -119,9 +119,26 @@ def test_training_samples_may_be_all_uniform_or_all_near():
     assert fb.sample_training(sphere, 500, uniform=1, near=()).points.shape == (500, 3)
 
 
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_training_distances_belong_to_the_points_far_from_the_origin(dtype):
+    center = np.array((512345.0, 4187654.0, 100.0))
+    sphere = meshes.icosphere(3, center=center)
+
+    found = fb.sample_training(sphere, 2000, seed=2, dtype=dtype)
+
+    assert {array.dtype.name for array in found} == {dtype}
+    expected = truth.closest_point(*sphere, found.points.astype(np.float64)).distances
+    # Rounding of a distance below 4 to the type, and of positions of 4e6 in float64.
+    error = np.abs(np.abs(found.distances) - expected).max()
+    assert error <= 4 * np.finfo(dtype).eps + 4e6 * 4 * np.finfo(np.float64).eps
+    # The points of float32 are those of float64, rounded; steps there are 0.03 along x and 0.25 along y.
+    assert np.array_equal(found.points, fb.sample_training(sphere, 2000, seed=2).points.astype(dtype))
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        ({"n": 10, "dtype": "float16"}, 'dtype: must be one of "float64", "float32"'),
         ({"n": -1}, "n"),
         ({"n": 2.5}, "n"),
         ({"n": 10, "seed": -1}, "seed"),

@@ -120,8 +120,12 @@ def test_an_item_that_kills_its_process_or_takes_too_long_fails_alone(boxes, tmp
 def test_equal_stems_and_unknown_options_are_errors_before_any_work(library, tmp_path):
     other = assets.write_boxes(tmp_path / "other", 1)
     out = tmp_path / "out"
-    with pytest.raises(fb.ArgumentError, match=r"number 0 and number 4.*box_0\.npz"):
+    with pytest.raises(fb.ArgumentError) as caught:
         fb.bake_many([*library, *other], out)
+    first, second = f"items[0] ({library[0]})", f"items[{len(library)}] ({other[0]})"
+    assert str(caught.value).startswith(f"items: {first} and {second} would both be written as 'box_0.obj.npz'")
+    with pytest.raises(fb.ArgumentError, match=r"items: items\[0\] and items\[1\] would both be written as 'A.npz'"):
+        fb.bake_many({"a": assets.box(1), "A": assets.box(2)}, out)
     with pytest.raises(fb.ArgumentError, match="resolutions: is no option of bake"):
         fb.bake_many(library, out, resolutions=3)
     with pytest.raises(fb.ArgumentError, match="put it in a list"):
@@ -131,6 +135,17 @@ def test_equal_stems_and_unknown_options_are_errors_before_any_work(library, tmp
     with pytest.raises(fb.ArgumentError, match="on_error"):
         fb.bake_many(library, out, on_error="ignore")
     assert not out.exists()
+
+
+def test_files_with_equal_stems_keep_their_ending(tmp_path):
+    names = ["a.obj", "A.ply", "a.obj.stl", "b.obj"]
+    for name in names:
+        fb.Mesh(*assets.box(1)).save(tmp_path / name)
+    rows = bake_many([tmp_path / name for name in names], tmp_path / "out")
+    assert [Path(row["path"]).name for row in rows] == ["a.obj.npz", "A.ply.npz", "a.obj.stl.npz", "b.npz"]
+    assert statuses(rows) == ["done"] * 4
+    assert all(fb.load(row["path"]).resolution for row in rows)
+    assert statuses(bake_many([tmp_path / name for name in names], tmp_path / "out")) == ["skipped"] * 4
 
 
 def test_items_are_files_arrays_meshes_and_callables(library, tmp_path):
@@ -188,5 +203,6 @@ def test_training_samples_of_many(boxes, tmp_path):
     direct = fb.sample_training(boxes["box_1"], 500, seed=3)
     with np.load(rows[1]["path"]) as found:
         assert sorted(found.files) == ["distances", "gradients", "points"]
-        assert np.array_equal(found["points"], direct.points.astype(np.float32))
-        assert found["distances"].dtype == np.float32
+        assert np.array_equal(found["points"], direct.points)
+        for name in ("distances", "gradients"):
+            assert np.array_equal(found[name], getattr(direct, name).astype(np.float32))

@@ -5,6 +5,8 @@ import pytest
 
 import assets
 import fieldbake as fb
+import meshes
+import truth
 from fieldbake.scaling.many import sample_many
 
 
@@ -120,8 +122,9 @@ def test_samples_go_into_one_store(boxes, tmp_path):
     assert statuses(many(boxes, out, sample_many, n=50, seed=3)) == ["done"] * 2
     group = zarr.open_group(out, mode="r")
     direct = fb.sample_training(boxes["b"], 50, seed=3)
-    for name in ("points", "distances", "gradients"):
-        assert np.array_equal(group["b"][name][...], np.asarray(getattr(direct, name), np.float32))
+    assert np.array_equal(group["b"]["points"][...], direct.points)
+    for name in ("distances", "gradients"):
+        assert np.array_equal(group["b"][name][...], getattr(direct, name).astype(np.float32))
     assert statuses(many(boxes, out, sample_many, n=50, seed=3)) == ["skipped"] * 2
     boxes["b"] = assets.box(2)
     assert statuses(many(boxes, out, sample_many, n=50, seed=3)) == ["skipped", "done"]
@@ -131,6 +134,60 @@ def test_samples_go_into_one_store(boxes, tmp_path):
     (row,) = many({"c": boxes["a"]}, out, sample_many, n=50)
     assert "other contents" in row["error"]
     assert (out / "c" / "thesis.txt").read_text() == "work"
+
+
+@pytest.mark.parametrize("dtype", [None, "float32"])
+def test_distances_of_stored_samples_belong_to_the_stored_points(tmp_path, dtype):
+    sphere = meshes.icosphere(3, center=(512345, 4187654, 100))
+    (row,) = many({"a": sphere}, tmp_path, sample_many, n=500, **({} if dtype is None else {"dtype": dtype}))
+    with np.load(row["path"]) as found:
+        points, distances = found["points"], found["distances"]
+    assert (points.dtype.name, distances.dtype.name) == (dtype or "float64", "float32")
+    expected = truth.closest_point(*sphere, points.astype(np.float64)).distances
+    # Rounding of distances below 4 to float32, and of positions of 4e6 in float64.
+    assert np.abs(np.abs(distances) - expected).max() <= 4 * np.finfo(np.float32).eps + 1e-8
+    other = "float32" if dtype is None else "float64"
+    assert statuses(many({"a": sphere}, tmp_path, sample_many, n=500, dtype=other)) == ["done"]
+
+
+def test_rows_of_samples_have_the_report_of_their_mesh(tmp_path):
+    items = {"closed": assets.box(1), "open": meshes.open_box(), "made": meshes.open_box}
+    rows = many(items, tmp_path, sample_many, n=2000, uniform=0.5)
+    assert [row["report"]["boundary_edges"] for row in rows] == [0, 4, 4]
+    assert [len(row["report"]["warnings"]) for row in rows] == [0, 1, 1]
+    with np.load(rows[1]["path"]) as found:
+        winding = fb.winding_number(items["open"], found["points"], error=1e-6)
+    uncertain = np.count_nonzero(np.abs(winding - 0.5) < 0.05)
+    assert uncertain > 0
+    assert [row["report"]["undecided_voxels"] for row in rows] == [0, uncertain, uncertain]
+    assert [row["report"] for row in many(items, tmp_path, sample_many, n=2000, uniform=0.5)] == [
+        row["report"] for row in rows
+    ]
+
+
+@pytest.mark.parametrize("target", ["unit cube", "unit sphere"])
+@pytest.mark.parametrize("out", ["out", "out.zarr"])
+def test_samples_of_normalized_meshes_have_the_transform(tmp_path, out, target):
+    box = meshes.scale_and_shift(meshes.box(), 3.0, (50, -20, 7))
+    if out == "out.zarr":
+        pytest.importorskip("zarr")
+    assert statuses(many({"a": box}, tmp_path / out, sample_many, n=400)) == ["done"]
+    (row,) = many({"a": box}, tmp_path / out, sample_many, n=400, normalize=target)
+    assert (row["status"], row["error"]) == ("done", None)
+    if out == "out.zarr":
+        import zarr
+
+        found = {name: array[...] for name, array in zarr.open_group(row["path"], mode="r").arrays()}
+    else:
+        found = dict(np.load(row["path"]))
+    # Half the side of the box becomes 1/2, or 1/sqrt(3).
+    scale = (0.5 if target == "unit cube" else 1 / np.sqrt(3)) / 3
+    assert np.abs(found["transform"][:3, :3] - scale * np.eye(3)).max() <= 1e-15
+    world = (found["points"] - found["transform"][:3, 3]) / scale
+    distances = truth.closest_point(*box, world).distances * scale
+    assert np.abs(np.abs(found["distances"]) - distances).max() <= 1e-7
+    with pytest.raises(fb.ArgumentError, match='normalize: must be one of "unit cube", "unit sphere"'):
+        many({"a": box}, tmp_path / out, sample_many, n=400, normalize="unit box")
 
 
 def broken():

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+import warnings
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -68,6 +69,20 @@ def whole(mesh, volume, encoding="snorm16", band=3):
     dense = fb.bake(mesh, volume.resolution, bounds=volume.bounds, band=band)
     assert np.array_equal(dense.bounds, volume.bounds)
     return dense if encoding == "float32" else dense.quantize(encoding, band=band)
+
+
+def test_open_meshes_warn_as_in_a_bake(tmp_path):
+    mesh = opened_knot()
+    with pytest.warns(fb.SurfaceWarning) as of_bake:
+        fb.bake(mesh, 32)
+    for _ in range(2):  # the second call finds all shards
+        with pytest.warns(fb.SurfaceWarning) as of_store:
+            fb.bake_to_zarr(mesh, tmp_path / "knot.zarr", 32, shard=SHARD, chunk=CHUNK)
+        assert [str(found.message) for found in of_store] == [str(found.message) for found in of_bake]
+        assert of_store[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", fb.SurfaceWarning)
+        fb.bake_to_zarr(mesh, tmp_path / "unsigned.zarr", 32, shard=SHARD, chunk=CHUNK, sign="unsigned")
 
 
 @pytest.mark.parametrize("make", [knot, opened_knot], ids=["closed", "open"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,15 +12,27 @@ from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError
 from ..base.progress import Progress, progress_callback
+from ..base.report import Report
 from ..meshes.convert import MeshLike, as_mesh
+from ..meshes.mesh import Mesh
 from .common import Sign, checked_points, source_faces
-from .nearest import query
+from .nearest import query, winding_number
 
 #: Largest number of samples of one call. The core counts them in 32 bits.
 MOST_SAMPLES = 2**32 - 1
 
 #: Factor by which the box of the mesh is scaled about its centre for uniform training samples.
 UNIFORM_BOX = 1.1
+
+#: Largest number of points at which :func:`count_uncertain` evaluates the winding number. The standard error of a share
+#: of 1 % is a tenth of it.
+MOST_TESTED = 1 << 14
+
+#: A sign is uncertain if the winding number is closer to the middle between two whole numbers than this, as in a bake.
+UNDECIDED = 0.05
+
+#: Type of the numbers of training samples.
+SampleType = Literal["float64", "float32"]
 
 
 class SurfaceSamples(NamedTuple):
@@ -45,7 +57,7 @@ class SurfaceSamples(NamedTuple):
 
 
 class TrainingSamples(NamedTuple):
-    """Points around a surface with their signed distances.
+    """Points around a surface with their signed distances, float64 or the `dtype` of :func:`sample_training`.
 
     Examples
     --------
@@ -55,12 +67,12 @@ class TrainingSamples(NamedTuple):
     ((100, 3), (100,), (100, 3))
     """
 
-    #: Positions, (n, 3) float64, world units: near points first, then uniform ones.
-    points: NDArray[np.float64]
-    #: Signed distances, (n,) float64, world units, negative inside.
-    distances: NDArray[np.float64]
-    #: Unit gradients of the signed distance, (n, 3) float64.
-    gradients: NDArray[np.float64]
+    #: Positions, (n, 3), world units: near points first, then uniform ones.
+    points: NDArray[Any]
+    #: Signed distances at these points, (n,), world units, negative inside.
+    distances: NDArray[Any]
+    #: Unit gradients of the signed distance, (n, 3).
+    gradients: NDArray[Any]
 
 
 def sample_surface(mesh: MeshLike, n: int, *, seed: int = 0, progress: Progress = None) -> SurfaceSamples:
@@ -116,6 +128,7 @@ def sample_training(
     sign: Sign = "auto",
     device: str = "auto",
     progress: Progress = None,
+    dtype: SampleType = "float64",
 ) -> TrainingSamples:
     """Draw points near a surface and around it, with their signed distances and gradients.
 
@@ -137,6 +150,10 @@ def sample_training(
         As for :func:`bake`.
     device : str, default "auto"
         As for :func:`closest_point`.
+    dtype : "float64" or "float32", default "float64"
+        Type of the points, distances and gradients. With ``"float32"`` the points are rounded first and the distances
+        are those of the rounded points. Far from the origin the rounding moves points by more than they are from the
+        surface; :func:`normalize` the mesh there.
 
     Returns
     -------
@@ -146,7 +163,8 @@ def sample_training(
     Raises
     ------
     MeshError, ArgumentError, DeviceError
-        As for :func:`query`; ArgumentError also for a fraction outside 0 to 1 and a deviation that is not positive.
+        As for :func:`query`; ArgumentError also for a fraction outside 0 to 1, a deviation that is not positive and
+        another `dtype`.
 
     Warns
     -----
@@ -176,6 +194,25 @@ def sample_training(
     >>> samples.points.shape, samples.distances.shape, samples.gradients.shape
     ((1000, 3), (1000,), (1000, 3))
     """
+    samples, _ = draw_training(
+        mesh, n, near=near, uniform=uniform, seed=seed, sign=sign, device=device, progress=progress, dtype=dtype
+    )
+    return samples
+
+
+def draw_training(
+    mesh: MeshLike,
+    n: int,
+    *,
+    near: Sequence[float] = (0.005, 0.05),
+    uniform: float = 0.1,
+    seed: int = 0,
+    sign: Sign = "auto",
+    device: str = "auto",
+    progress: Progress = None,
+    dtype: SampleType = "float64",
+) -> tuple[TrainingSamples, Report]:
+    """Draw the samples of :func:`sample_training`, with the report of their query."""
     count = checks.integer("n", n, least=0, most=MOST_SAMPLES)
     start = checks.integer("seed", seed, least=0, most=2**64 - 1)
     share = checks.number("uniform", uniform, least=0)
@@ -184,6 +221,7 @@ def sample_training(
     deviations = _deviations(near)
     if not deviations and share < 1:
         raise ArgumentError("near: must hold a standard deviation unless uniform is 1")
+    kind = np.dtype(checks.choice("dtype", dtype, ("float64", "float32")))
     checked = as_mesh(mesh)
 
     spread = round(count * share)
@@ -199,9 +237,27 @@ def sample_training(
     near_points = surface + deviation[:, None] * random.standard_normal((count - spread, 3))
     half = np.maximum(upper - lower, 1e-3 * diagonal) * (UNIFORM_BOX / 2)
     uniform_points = (lower + upper) / 2 + half * random.uniform(-1, 1, size=(spread, 3))
-    points = np.concatenate([near_points, uniform_points])
+    # The distances belong to the points that are returned, so the points are rounded first.
+    points = np.concatenate([near_points, uniform_points]).astype(kind, copy=False)
     found = query(checked, points, sign=sign, device=device, progress=progress)
-    return TrainingSamples(points, found.distances, found.gradients)
+    samples = TrainingSamples(
+        points, found.distances.astype(kind, copy=False), found.gradients.astype(kind, copy=False)
+    )
+    return samples, found.report
+
+
+def count_uncertain(mesh: Mesh, points: NDArray[Any], report: Report) -> int:
+    """Count the points (n, 3) whose sign is uncertain, or estimate their number from equally spaced rows.
+
+    The winding number of the faces as they are wound decides: it is whole inside and outside a closed surface. Methods
+    other than the winding number have no such measure; the count is 0 then.
+    """
+    if report.closed or report.sign_method != "winding" or not len(points):
+        return 0
+    tested = points[:: -(-len(points) // MOST_TESTED)]
+    winding = winding_number(mesh, tested, error=1e-3)
+    count = int((np.abs(winding - np.round(winding)) > 0.5 - UNDECIDED).sum())
+    return round(count * len(points) / len(tested))
 
 
 def thickness(

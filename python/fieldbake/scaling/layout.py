@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from .. import _core
-from ..base import encodings
-from ..base.errors import FormatError
+from ..base import checks, encodings
+from ..base.errors import Error, FormatError
 from ..base.grid import Grid
 
 #: Version of the layout.
@@ -29,6 +29,9 @@ VERSION = 1
 
 #: Levels are added until the longest side has at most this many voxels.
 COARSEST = 64
+
+#: Largest number of samples along a side of the grid, and of a shard; smallest voxel whose square is a float64 above 0.
+MOST_SAMPLES, MOST_SHARD, SMALLEST_VOXEL = 2**31, 4096, 1e-150
 
 #: Windows are baked with a band that is wider by this fraction, so that clamped values have the largest code despite
 #: rounding.
@@ -109,27 +112,32 @@ class Layout(Grid):
 
     @classmethod
     def from_dict(cls, facts: Mapping[str, Any]) -> Layout:
-        """Restore a layout from the attributes of a store."""
+        """Restore a layout from the attributes of a store. All values are checked; a damaged one is a FormatError."""
         try:
-            return cls(
-                lower=_three(facts["lower"], float),
-                upper=_three(facts["upper"], float),
-                shape=_three(facts["shape"], int),
-                band=float(facts["band"]),
-                shard=int(facts["shard"]),
-                chunk=int(facts["chunk"]),
-                encoding=str(facts["encoding"]),
-                sign=str(facts["sign"]),
-                mesh=str(facts["mesh"]),
-                inner=(_three(facts["inner"][0], float), _three(facts["inner"][1], float)),
+            lower, upper = checks.box("lower, upper", [facts["lower"], facts["upper"]])
+            inner = checks.box("inner", facts["inner"], flat=True)
+            nx, ny, nz = (checks.integer("shape", side, least=1, most=MOST_SAMPLES) for side in facts["shape"])
+            shard = checks.integer("shard", facts["shard"], least=1, most=MOST_SHARD)
+            chunk = checks.integer("chunk", facts["chunk"], least=1, most=shard)
+            layout = cls(
+                lower=checks.triple(lower),
+                upper=checks.triple(upper),
+                shape=(nx, ny, nz),
+                band=checks.number("band", facts["band"], above=0),
+                shard=shard,
+                chunk=chunk,
+                encoding=checks.choice("encoding", facts["encoding"], encodings.NAMES),
+                sign=checks.text("sign", facts["sign"]),
+                mesh=checks.text("mesh", facts["mesh"]),
+                inner=(checks.triple(inner[0]), checks.triple(inner[1])),
             )
-        except (KeyError, TypeError, ValueError, IndexError) as error:
-            raise FormatError(f"the store's attributes are damaged: {error!r}") from error
-
-
-def _three(values: Any, kind: type) -> Any:
-    x, y, z = (kind(value) for value in values)
-    return x, y, z
+            if shard % chunk:
+                raise FormatError(f"chunk: must divide shard ({shard}), got {chunk}")
+            checks.number("band", layout.band_width, above=0)
+            checks.number("spacing", min(layout.spacing), above=SMALLEST_VOXEL)
+        except (Error, LookupError, TypeError, ValueError) as error:
+            raise FormatError(f"the store's attributes are damaged: {error}") from error
+        return layout
 
 
 def path_of(level: int) -> str:

@@ -7,6 +7,7 @@ import inspect
 import os
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from dataclasses import dataclass, fields
@@ -25,7 +26,7 @@ from .store import import_zarr
 #: The function of each kind of run, and the options of that function, which all items share.
 OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
     "bake": ("bake", tuple(name for name in inspect.signature(bake).parameters if name not in ("mesh", "progress"))),
-    "sample": ("sample_training", ("n", "near", "uniform", "seed", "sign")),
+    "sample": ("sample_training", ("n", "near", "uniform", "seed", "sign", "dtype", "normalize")),
 }
 
 #: Progress reaches a callback at most this often, seconds.
@@ -53,7 +54,8 @@ def bake_many(
     items : iterable of mesh files, meshes, (vertices, faces), shapes or callables; or a mapping of stems to those
         Everything that :func:`bake` takes, except shapes that contain a volume. A callable without arguments returns
         such a mesh or shape; it runs where the item is baked. The result is ``out/STEM.npz``. The stem is that of the
-        file, the key of a mapping, the name of a function, or else ``item-`` and the position of the item.
+        file, the key of a mapping, the name of a function, or else ``item-`` and the position of the item. Files with
+        equal stems keep their ending: ``out/STEM.obj.npz`` and ``out/STEM.ply.npz``.
     out : path
         Folder for the results and for ``ledger.jsonl``; it is made if it is missing.
     executor : optional
@@ -86,7 +88,7 @@ def bake_many(
     Raises
     ------
     ArgumentError
-        If two items have the same stem, an option is unknown or out of range, or the folder has results of
+        If two items would have the same result, an option is unknown or out of range, or the folder has results of
         :func:`sample_training`; nothing is baked then.
     Exception
         The error of an item, with `on_error` ``"raise"``. Finished results stay.
@@ -118,10 +120,15 @@ def sample_many(
 ) -> list[dict[str, Any]]:
     """Draw training samples of each item; arguments and rows as for :func:`bake_many`.
 
-    Items are meshes; for a shape, pass ``shape.to_mesh()``. The options are those of :func:`sample_training`. A result
-    is an .npz file of ``points`` (n, 3), ``distances`` (n,) and ``gradients`` (n, 3), all float32. If `out` ends in
-    ``.zarr``, it is a group of these arrays in one Zarr store.
+    Items are meshes; for a shape, pass ``shape.to_mesh()``. The options are those of :func:`sample_training`, and
+    `normalize`: ``"unit cube"`` or ``"unit sphere"``, the target of :func:`normalize` for each mesh. A result is an
+    .npz file of ``points`` (n, 3), float64 or `dtype`, and the float32 ``distances`` (n,) and ``gradients`` (n, 3) at
+    these points. With `normalize` it has the ``transform`` (4, 4), float64, from the positions of the mesh to those of
+    the points. If `out` ends in ``.zarr``, it is a group of these arrays in one Zarr store. In the report of a row,
+    ``undecided_voxels`` is the number of points whose sign is uncertain.
     """
+    # The type of the points is an option of every run, so that results with another type are drawn again.
+    options.setdefault("dtype", "float64")
     shared = {field.name: options.pop(field.name) for field in fields(Run) if field.name in options}
     return Run("sample", checks.path(out, "out"), options, **shared).rows(items)
 
@@ -163,7 +170,7 @@ class Run:
     def rows(self, items: Iterable[Any] | Mapping[str, Any]) -> list[dict[str, Any]]:
         """Bake or sample all items."""
         named = named_items(items)
-        check_stems([stem for stem, _ in named], self.ending)
+        check_stems(named, self.ending)
         earlier = ledger.read(self.out)
         self._check_kind(earlier[name] for name in (f"{stem}{self.ending}" for stem, _ in named) if name in earlier)
         if not self.resume:
@@ -196,7 +203,9 @@ class Run:
                 row.update(status="skipped", seconds=0.0, report=last.get("report"))
                 continue
             known = last.get("content") if last is not None and found is None else None
-            if not ledger.is_done(self.out, last, name, known, self.options_hash):
+            if last is not None and ledger.is_done(self.out, last, name, known, self.options_hash):
+                row["report"] = last.get("report")
+            else:
                 known = None
             if found is None:
                 item = Portable(item)
@@ -275,9 +284,11 @@ class Run:
     def _finish(self, row: dict[str, Any], facts: dict[str, Any] | None, error: BaseException | None) -> None:
         if facts is None:
             assert error is not None
-            row.update(error=_text(error))
+            row.update(error=_text(error), report=None)
         else:
             error = facts.pop("exception", None)
+            if facts["status"] == "skipped":
+                facts["report"] = row["report"]
             row.update((key, facts[key]) for key in ("status", "seconds", "error", "report") if key in facts)
         if row["status"] != "skipped":
             proof = {
@@ -309,21 +320,43 @@ def named_items(items: Iterable[Any] | Mapping[str, Any]) -> list[tuple[str, Any
         else:
             stem = f"item-{index:05d}"
         named.append((stem, item))
-    return named
+    return distinct_stems(named)
 
 
-def check_stems(stems: Sequence[str], ending: str) -> None:
+def distinct_stems(named: Sequence[tuple[str, Any]]) -> list[tuple[str, Any]]:
+    """Keep the endings of files whose stems are equal: ``a.obj`` and ``a.ply`` replace two stems ``a``."""
+    stems = [stem for stem, _ in named]
+    while True:
+        counts = Counter(stem.casefold() for stem in stems)
+        longer = [
+            Path(item).name if counts[stem.casefold()] > 1 and isinstance(item, (str, os.PathLike)) else stem
+            for stem, (_, item) in zip(stems, named, strict=True)
+        ]
+        # A longer stem may be equal to another stem. Every round but the last makes at least one longer.
+        if longer == stems:
+            return [(stem, item) for stem, (_, item) in zip(stems, named, strict=True)]
+        stems = longer
+
+
+def check_stems(named: Sequence[tuple[str, Any]], ending: str) -> None:
     """Raise an error if two results would have the same name, also on file systems that ignore case."""
     seen: dict[str, int] = {}
-    for index, stem in enumerate(stems):
+    for index, (stem, _) in enumerate(named):
         if not stem:
             raise ArgumentError(f"items[{index}]: has no name for its result")
         first = seen.setdefault(stem.casefold(), index)
         if first != index:
+            one, other = (_place(i, named[i][1]) for i in (first, index))
             raise ArgumentError(
-                f"items: number {first} and number {index} would both be written as '{stem}{ending}'; rename one, "
-                "or pass a mapping of stems to items"
+                f"items: {one} and {other} would both be written as '{stem}{ending}'; rename one, or pass a mapping of "
+                "stems to items"
             )
+
+
+def _place(index: int, item: Any) -> str:
+    """Return the position of an item, with its path if it has one."""
+    name = f" ({os.fspath(item)})" if isinstance(item, (str, os.PathLike)) else ""
+    return f"items[{index}]{name}"
 
 
 def _is_mesh(item: Any) -> bool:

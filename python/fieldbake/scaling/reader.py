@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..base.errors import FormatError
 from .layout import Layout, path_of, shard_key
-from .store import Place, read_array, size_of, stored_keys
+from .store import REPAIR, Place, checked_array, read_array, reading, size_of, stored_keys
 
 #: Memory of the bricks that a reader keeps, bytes.
 CACHE_BYTES = 256 << 20
@@ -28,11 +28,28 @@ class Reader:
         self.place, self.layout = place, layout
         self.fill = layout.fill
         self._group = group
-        self._arrays = [group[path_of(level)] for level in range(layout.level_count)]
+        self._arrays = [
+            checked_array(
+                group,
+                path_of(level),
+                layout.level(level).shape[::-1],
+                self.fill.dtype,
+                layout.shard,
+                layout.chunk,
+                self.fill,
+            )
+            for level in range(layout.level_count)
+        ]
         #: For each level an array (sx, sy, sz): whether each shard is stored.
         self.states = [
-            read_array(group, f"far/states/{level}").transpose(2, 1, 0) != 0 for level in range(layout.level_count)
+            _plan_array(group, f"far/states/{level}", layout.counts(level)[::-1], np.uint8).transpose(2, 1, 0) != 0
+            for level in range(layout.level_count)
         ]
+        #: Unsigned distances at the corners of the shards, (cz, cy, cx).
+        corners = tuple(count + 1 for count in layout.counts(0)[::-1])
+        self.far = np.abs(_plan_array(group, "far/distances", corners, np.float32).astype(np.float64))
+        if not np.isfinite(self.far).all():
+            raise FormatError(f"{place}: far/distances is not complete; {REPAIR}")
         self._known: set[tuple[int, Triple]] = set()
         self._bricks: OrderedDict[tuple[int, Triple], NDArray[Any]] = OrderedDict()
         self._most = max(64, CACHE_BYTES // (layout.chunk**3 * self.fill.dtype.itemsize))
@@ -51,11 +68,15 @@ class Reader:
         for index in shards:
             self._check(level, index)
         part = tuple(slice(a, a + n) for a, n in zip(reversed(low), reversed(size), strict=True))
-        try:
-            return np.asarray(self._arrays[level][part])
-        except Exception as error:
-            self._blame(level, shards, error)
-            raise
+        with reading(self.place, path_of(level)):
+            try:
+                values = np.asarray(self._arrays[level][part])
+            except Exception as error:
+                self._blame(level, shards, error)
+                raise
+        if values.dtype.kind == "f" and not np.isfinite(values).all():
+            raise FormatError(f"{self.place}: {path_of(level)} has samples that are not finite; {REPAIR}")
+        return values
 
     def _check(self, level: int, index: Triple) -> None:
         """Raise an error if a shard of the plan is missing in the store."""
@@ -200,6 +221,11 @@ class Reader:
             windows = np.lib.stride_tricks.sliding_window_view(padded, (cells + 1,) * 3)
             least, largest = (_over_blocks(fold, padded, cells) for fold in (np.minimum, np.maximum))
             yield first, windows[::cells, ::cells, ::cells], least, largest
+
+
+def _plan_array(group: Any, path: str, shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+    checked_array(group, path, shape, dtype, 0, 0, None)
+    return read_array(group, path)
 
 
 def _over_blocks(fold: np.ufunc, samples: NDArray[Any], cells: int) -> NDArray[Any]:

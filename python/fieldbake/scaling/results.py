@@ -5,19 +5,23 @@ from __future__ import annotations
 import shutil
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..baking.dense import bake
 from ..base import checks
 from ..base.errors import ArgumentError, FormatError
 from ..base.grid import make_grid
+from ..base.report import Report
 from ..files.container import ENDINGS, atomic_write
+from ..meshes import normalization
 from ..meshes.convert import as_mesh
-from ..queries.sampling import sample_training
+from ..meshes.normalization import Target
+from ..queries.sampling import TrainingSamples, count_uncertain, draw_training
 from ..volumes import writers
 from ..volumes.volume import Volume
 from . import content
@@ -55,16 +59,29 @@ def process(asset: Asset) -> dict[str, Any]:
         if found == asset.known:
             return {"status": "skipped", "content": found}
     target = Path(asset.target)
-    report = None
     if asset.kind == "bake":
         volume = bake(item, **asset.options)
         _save(volume, target, asset.encoding, asset.options.get("band"))
-        report = volume.report.to_dict()
+        report = volume.report
     else:
-        samples = sample_training(as_mesh(item), **asset.options)
-        arrays = {name: np.asarray(getattr(samples, name), np.float32) for name in samples._fields}
+        arrays, report = _draw(item, **asset.options)
         (_save_group if in_zarr(target) else _save_arrays)(target, arrays)
-    return {"status": "done", "content": found, "report": report, "bytes": size_of(target)}
+    return {"status": "done", "content": found, "report": report.to_dict(), "bytes": size_of(target)}
+
+
+def _draw(item: Any, normalize: Target | None = None, **options: Any) -> tuple[dict[str, NDArray[Any]], Report]:
+    """Draw the arrays of a result and their report. The points keep their type; their fields are float32."""
+    mesh = as_mesh(item)
+    arrays: dict[str, NDArray[Any]] = {}
+    if normalize is not None:
+        mesh, arrays["transform"] = normalization.normalize(mesh, normalize)
+    samples, report = draw_training(mesh, **options)
+    arrays |= {
+        "points": samples.points,
+        "distances": samples.distances.astype(np.float32),
+        "gradients": samples.gradients.astype(np.float32),
+    }
+    return arrays, replace(report, undecided_voxels=count_uncertain(mesh, samples.points, report))
 
 
 def _save(volume: Volume, target: Path, encoding: str | None, band: float | None) -> None:
@@ -91,7 +108,7 @@ def in_zarr(target: Path) -> bool:
 
 def _save_group(target: Path, arrays: Mapping[str, Any]) -> None:
     """Write the arrays as a group, under another name first."""
-    if target.exists() and not all((target / name / "zarr.json").is_file() for name in arrays):
+    if target.exists() and not all((target / name / "zarr.json").is_file() for name in TrainingSamples._fields):
         raise FormatError(f"{target} has other contents than training samples; they stay as they are")
     partial = target.with_name(f".{target.name}.partial")
     group = import_zarr().open_group(partial, mode="w", zarr_format=3)
@@ -115,7 +132,7 @@ def checked_format(kind: str, out: Path, form: object, encoding: object) -> tupl
     if kind == "sample":
         if ending != ".npz" or encoding is not None:
             raise ArgumentError(
-                "format, encoding: do not apply to samples, which are float32 in .npz files or a .zarr store"
+                "format, encoding: do not apply to samples, which are arrays in .npz files or a .zarr store"
             )
         if out.suffix in (".npz", ".parquet"):
             raise ArgumentError(f"out: must be a folder or end in .zarr, got {str(out)!r}")
@@ -142,7 +159,9 @@ def check_options(kind: str, options: Mapping[str, Any]) -> None:
         warnings.simplefilter("ignore")
         if kind == "sample":
             count = checks.integer("n", chosen.pop("n", None), least=0, most=2**40)
-            sample_training(solid, min(count, FEW), **chosen)
+            if (target := chosen.pop("normalize", None)) is not None:
+                checks.choice("normalize", target, get_args(Target))
+            draw_training(solid, min(count, FEW), **chosen)
             return
         grid = {name: chosen.pop(name) for name in ("resolution", "voxel_size", "bounds") if name in chosen}
         margin = chosen.get("margin", 0.1)

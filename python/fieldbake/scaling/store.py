@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import _core
 from ..base import checks, encodings
 from ..base.errors import ArgumentError, Error, FormatError
 from ..base.optional import optional_module
@@ -21,6 +23,9 @@ from .layout import Layout
 
 #: Attribute of a group while its arrays are created. A run that finds it deletes the group and starts again.
 UNFINISHED = "fieldbake_unfinished"
+
+#: The part of a store that is read at its opening.
+METADATA = "its metadata"
 
 #: Advice for damage outside the levels.
 REPAIR = "call bake_to_zarr with the same mesh and options to repair it"
@@ -49,6 +54,8 @@ class Place:
     def of(cls, store: Any, options: Mapping[str, Any] | None) -> Place:
         """Check the argument `store` of a user."""
         zarr = import_zarr()
+        if options is not None and not isinstance(options, Mapping):
+            raise ArgumentError(f"storage_options: must be a mapping, got {checks.describe(options)}")
         if isinstance(store, os.PathLike):
             store = os.fspath(store)
         if isinstance(store, str):
@@ -109,20 +116,64 @@ class Place:
             raise
         except (FileExistsError, NotADirectoryError, zarr.errors.ContainsArrayError):
             raise self.occupied() from None
-        except (TypeError, ValueError) as error:
-            raise ArgumentError(f"store: {self} cannot be opened: {error}") from error
+        except OSError:
+            raise
+        except Exception as error:
+            if self._is_unknown_url():
+                raise ArgumentError(f"store: {self} cannot be opened: {error}") from error
+            raise FormatError(f"{self}: {METADATA} is damaged: {error!r}; {REPAIR}") from error
+
+    def _is_unknown_url(self) -> bool:
+        """Whether fsspec finds no file system for the store, which is a URL."""
+        if self.folder is not None or not isinstance(self.store, str):
+            return False
+        try:
+            optional_module("fsspec", "a URL", extra="zarr").core.url_to_fs(self.store, **(self.options or {}))
+        except (TypeError, ValueError):
+            return True
+        return False
 
     def existing(self, mode: str) -> Any:
         """Open the group, or return None if there is none."""
         zarr = import_zarr()
         try:
             return self.open(mode)
-        except (FileNotFoundError, zarr.errors.GroupNotFoundError):
+        except (FileNotFoundError, zarr.errors.GroupNotFoundError) as error:
+            # Zarr finds no group where the kind of the node is damaged.
+            if self.folder is not None and Path(self.folder, "zarr.json").is_file():
+                raise FormatError(f"{self}: {METADATA} is damaged: {error!r}; {REPAIR}") from error
             return None
 
     def occupied(self) -> FormatError:
         """The error for a place with contents that fieldbake has not written."""
         return FormatError(f"store: {self} has other contents than a field of fieldbake; they stay as they are")
+
+
+@contextmanager
+def reading(place: object, part: str = METADATA) -> Iterator[None]:
+    """Translate the errors of zarr and of its codecs while a part of a store is read; each codec has its own ones."""
+    try:
+        yield
+    except (Error, OSError, MemoryError):
+        raise
+    except Exception as error:
+        raise FormatError(f"{place}: {part} is damaged: {error!r}; {REPAIR}") from error
+
+
+def checked_array(group: Any, path: str, shape: tuple[int, ...], dtype: Any, shard: int, chunk: int, fill: Any) -> Any:
+    """Open an array of the plan whose metadata are those that :func:`create` wrote, or raise FormatError."""
+    array = group[path]
+    wanted = {"shape": shape, "dtype": np.dtype(dtype)}
+    wanted |= {"fill_value": fill} if fill is not None else {}
+    wanted |= {"shards": (shard,) * 3, "chunks": (chunk,) * 3} if shard else {}
+    for name, value in wanted.items():
+        found = getattr(array, name)
+        if not np.array_equal(found, value, equal_nan=name == "fill_value"):
+            raise FormatError(f"{group.store_path}: {path} has the {name} {found}, not {value}; {REPAIR}")
+    keys = array.metadata.chunk_key_encoding
+    if keys.encode_chunk_key((1,) * len(shape)) != "/".join("c" + "1" * len(shape)):
+        raise FormatError(f"{group.store_path}: the chunks of {path} have unknown keys; {REPAIR}")
+    return array
 
 
 def is_ours(group: Any) -> bool:
@@ -191,7 +242,7 @@ def has_mesh(group: Any) -> bool:
     """Whether the arrays of the mesh in a store are complete."""
     try:
         _read_mesh_arrays(group)
-    except (KeyError, FormatError):
+    except FormatError:
         return False
     return True
 
@@ -203,21 +254,20 @@ def read_mesh(group: Any) -> Mesh:
 
 
 def _read_mesh_arrays(group: Any) -> dict[str, NDArray[Any]]:
-    arrays = {
-        name: read_array(group, f"mesh/{name}") for name in ("vertices", "faces", "rows") if name in group["mesh"]
-    }
-    if content.of_arrays(*arrays.values()) != group["mesh"].attrs.get("hash"):
-        raise FormatError(f"{group.store_path}: the mesh is damaged; {REPAIR}")
-    return arrays
+    with reading(group.store_path, "the mesh"):
+        parts = group["mesh"]
+        arrays = {name: read_array(group, f"mesh/{name}") for name in ("vertices", "faces", "rows") if name in parts}
+        if content.of_arrays(*arrays.values()) == parts.attrs.get("hash"):
+            return arrays
+    raise FormatError(f"{group.store_path}: the mesh is damaged; {REPAIR}")
 
 
 def read_array(group: Any, path: str) -> NDArray[Any]:
-    """Read a whole array besides the levels. Each codec has errors of its own for damaged chunks."""
-    array = group[path]
-    try:
+    """Read a whole array besides the levels."""
+    with reading(group.store_path, path):
+        array = group[path]
+        _core.require_memory(f"the array {path}", int(array.nbytes), "Check the metadata of the store.")
         return np.asarray(array[...])
-    except Exception as error:
-        raise FormatError(f"{group.store_path}: {path} is damaged ({error}); {REPAIR}") from error
 
 
 def complete(

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
-from ..baking.dense import prepare
+from ..baking.dense import log_warnings, prepare
 from ..base import checks, encodings
 from ..base.encodings import Encoding
 from ..base.errors import ArgumentError
@@ -25,7 +25,7 @@ from ..meshes.convert import MeshLike
 from ..meshes.mesh import Mesh
 from ..queries.common import Sign
 from . import content, executors, plan, shards, store
-from .layout import Layout, path_of, shard_key
+from .layout import MOST_SHARD, Layout, path_of, shard_key
 from .zarr_volume import ZarrVolume
 
 if TYPE_CHECKING:
@@ -102,6 +102,11 @@ def bake_to_zarr(
     OSError
         If the store cannot be written, for instance because the disk is full. A later call resumes.
 
+    Warns
+    -----
+    SurfaceWarning
+        Once per call if the surface is open, inside out, or has flipped or one-sided parts.
+
     Notes
     -----
     The store is a group of Zarr v3 with sharding and OME-Zarr 0.5 metadata, in the order z, y, x. Its array ``0`` has
@@ -131,8 +136,7 @@ def bake_to_zarr(
         )
     layout, surface = _checked_layout(mesh, resolution, band, shard, chunk, encoding, bounds, margin, sign)
     shards.keep_mesh(layout.mesh, surface)
-    group = _prepared_group(place, layout, surface, resume)
-    tasks = _planned_tasks(group, layout, surface)
+    group, tasks = _planned(place, layout, surface, resume)
     if tasks:
         _check_version(place, group)
         with executors.opened(executor) as pool:
@@ -142,7 +146,9 @@ def bake_to_zarr(
                 _work(place, layout, tasks, pool, shards.Threads(limit), progress)
     elif callable(progress):
         progress(1.0)
-    return ZarrVolume._open(place)
+    volume = ZarrVolume._open(place)
+    log_warnings(volume.report)
+    return volume
 
 
 def _place(target: Any, options: Mapping[str, Any] | None) -> store.Place:
@@ -161,7 +167,7 @@ def _checked_layout(
     sign: Sign,
 ) -> tuple[Layout, Mesh]:
     width = checks.number("band", band, above=0)
-    side = checks.integer("shard", shard, least=1, most=4096)
+    side = checks.integer("shard", shard, least=1, most=MOST_SHARD)
     part = checks.integer("chunk", chunk, least=1, most=side)
     if side % part:
         raise ArgumentError(f"chunk: must divide shard ({side}), got {part}")
@@ -174,6 +180,12 @@ def _checked_layout(
     facts = content.of_mesh(job.mesh)
     layout = Layout(grid.lower, grid.upper, grid.shape, width, side, part, encoding, job.sign, facts, inner)
     return layout, job.mesh
+
+
+def _planned(place: store.Place, layout: Layout, mesh: Mesh, resume: bool) -> tuple[Any, list[Task]]:
+    with store.reading(place):
+        group = _prepared_group(place, layout, mesh, resume)
+        return group, _planned_tasks(group, layout, mesh)
 
 
 def _prepared_group(place: store.Place, layout: Layout, mesh: Mesh, resume: bool) -> Any:

@@ -22,12 +22,10 @@ class Sampler:
     ----------
     layout, reader
         Those of the store.
-    far : (cz, cy, cx) float64
-        Unsigned distances at the corners of the shards.
     """
 
-    def __init__(self, layout: Layout, reader: Reader, far: NDArray[np.float64]) -> None:
-        self.reader, self.far = reader, far
+    def __init__(self, layout: Layout, reader: Reader) -> None:
+        self.reader, self.far = reader, reader.far
         self.scale = layout.scale
         self.lower, self.upper = np.array(layout.lower), np.array(layout.upper)
         self.inner = np.array(layout.inner)

@@ -14,8 +14,9 @@ from .. import _core
 from ..base import checks, encodings
 from ..base.errors import ArgumentError, FormatError
 from ..base.optional import optional_module
-from ..base.report import Report, bytes_text
-from ..meshes.isosurface import MeshSource
+from ..base.report import bytes_text
+from ..files.container import read_report
+from ..meshes.isosurface import MeshSource, Source
 from ..meshes.mesh import Mesh
 from ..volumes.blocks import SIDE
 from ..volumes.grid_field import GridField
@@ -89,6 +90,9 @@ class _StoredMesh:
     def apply(self, surface: _core.Surface, level: float) -> None:
         self._source().apply(surface, level)
 
+    def opposite(self) -> Source:
+        return self._source().opposite()
+
     def _source(self) -> MeshSource:
         unsigned = self._volume.report.sign_method == "unsigned"
         return MeshSource(self._volume.mesh, 0.0 if unsigned else None)
@@ -130,19 +134,17 @@ class ZarrVolume(GridField):
         group = place.existing("r")
         if group is None:
             raise FileNotFoundError(f"there is no Zarr group at {place}")
-        layout = stores.read_layout(group, place)
         volume = cls.__new__(cls)
-        volume._place, volume._layout = place, layout
-        try:
-            volume._reader = Reader(place, layout, group)
-            far = np.abs(stores.read_array(group, "far/distances").astype(np.float64))
-        except KeyError as error:
-            raise FormatError(f"{place}: the plan was not finished ({error} is missing); {stores.REPAIR}") from None
-        if np.isnan(far).any():
-            raise FormatError(f"{place}: far/distances is not complete; {stores.REPAIR}")
-        volume._sampler, volume._geometry = Sampler(layout, volume._reader, far), _StoredMesh(volume)
-        facts: Any = group.attrs["fieldbake"]
-        report = Report.from_dict(facts["report"])
+        with stores.reading(place):
+            layout = stores.read_layout(group, place)
+            volume._place, volume._layout = place, layout
+            try:
+                volume._reader = Reader(place, layout, group)
+            except KeyError as error:
+                raise FormatError(f"{place}: the plan was not finished ({error} is missing); {stores.REPAIR}") from None
+            facts: Any = group.attrs["fieldbake"]
+            report = read_report(facts)
+        volume._sampler, volume._geometry = Sampler(layout, volume._reader), _StoredMesh(volume)
         volume._set_box(layout.shape, np.array([layout.lower, layout.upper]), np.array(layout.inner), report)
         return volume
 
