@@ -149,7 +149,7 @@ def raymarch(
         for name, value in {**own, "background": background}.items():
             if value is not None:
                 raise SceneError(f"{name}: does not apply to a Scene; set it in the Scene or in a Material")
-        if filter != "linear":
+        if checks.choice("filter", filter, get_args(Filter)) != "linear":
             raise SceneError('filter: scenes are drawn with "linear" only')
         return render(thing, camera, size=size, primary="raymarch", shadows=shadows, device=device, progress=progress)
     checked = checked_size(size)
@@ -164,7 +164,7 @@ def raymarch(
         size=checked,
         shadows=shadows,
         filter=filter,
-        lights=lights,
+        lights=None if lights is None else _checked_lights(lights),
         ambient=checks.number("ambient", AMBIENT if ambient is None else ambient, least=0),
         specular=checks.number("specular", SPECULAR if specular is None else specular, least=0),
         shininess=checks.number("shininess", SHININESS if shininess is None else shininess, above=0),
@@ -348,17 +348,21 @@ def picture_arguments(
     }
 
 
+def _checked_lights(lights: Sequence[Light]) -> Sequence[Light]:
+    if not isinstance(lights, Sequence):
+        raise SceneError(f"lights: must be a list of lights, got {checks.describe(lights)}")
+    for number, light in enumerate(lights):
+        if not isinstance(light, (DirectionalLight, PointLight, SpotLight)):
+            raise SceneError(
+                f"lights[{number}]: must be a DirectionalLight, PointLight or SpotLight, got {checks.describe(light)}"
+            )
+    return lights
+
+
 def _lights(lights: Sequence[Light] | None, camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return directions and colours of lights, (k, 3) each."""
     if lights is None:
         lights = [key_light(camera.pose)]
-    if not isinstance(lights, Sequence):
-        raise SceneError(f"lights: must be a list of lights, got {checks.describe(lights)}")
-    for number, light in enumerate(lights):
-        if not isinstance(light, DirectionalLight):
-            raise SceneError(
-                f"lights[{number}]: must be a DirectionalLight, PointLight or SpotLight, got {checks.describe(light)}"
-            )
     directions = [light.direction for light in lights if isinstance(light, DirectionalLight)]
     colors = [np.multiply(light.color, light.intensity) for light in lights]
     return (

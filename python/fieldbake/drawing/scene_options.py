@@ -84,6 +84,7 @@ class Options:
                 ambient_occlusion = bool(ambient_occlusion)
             else:
                 ambient_occlusion = checks.number("ambient_occlusion", ambient_occlusion, above=0)
+            bounces = checks.integer("bounces", bounces, least=0, most=4)
             if bounces and ambient_occlusion is not False:
                 raise ArgumentError("ambient_occlusion: bounces contain the occlusion already; leave it out")
             return cls(
@@ -91,7 +92,7 @@ class Options:
                 primary,
                 "article" if method == "article" and shadows != "none" else shadows,
                 ambient_occlusion,
-                checks.integer("bounces", bounces, least=0, most=4),
+                bounces,
                 checks.integer("bounce_samples", bounce_samples, least=1, most=65536),
                 checks.integer("samples", samples, least=1, most=64),
                 checks.integer("light_scale", light_scale, least=1, most=2),

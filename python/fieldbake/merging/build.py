@@ -59,7 +59,7 @@ def merge(
     device: str = "auto",
     progress: Progress = None,
 ) -> MergedField | NestedField:
-    """Merge all instances of a scene into one world-aligned field that never exceeds the distance to them.
+    """Merge all instances of a scene into one world-aligned field whose samples never exceed the distance.
 
     Parameters
     ----------
@@ -110,8 +110,8 @@ def merge(
     a voxel centre of a rigidly placed volume. Elsewhere in the box of that volume it is less than the distance by up to
     half the diagonal of its voxel, 0.87 voxels. At distance `a` from the box it is ``sqrt(a^2 + s^2)``, where `s` is
     the bound at the nearest point of the box. Under scale it is multiplied by the least stretch. The bound holds up to
-    the error of the samples of the volumes. Between samples, trilinear interpolation may exceed the distance by a
-    fraction of a merged voxel.
+    the error of the samples of the volumes. Between samples, trilinear interpolation exceeds the distance by at most
+    half the diagonal of a merged voxel; 8 % of a voxel was measured around seven links of a robot.
 
     A merged surface therefore lies up to 0.87 voxels of its volume outside the surface, and flat faces at an angle to
     the grid ripple in pictures. A box of 44 voxels, turned by 0.4 radians about (1, 2, 3) and merged at 96 voxels, is

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
+from ..base.errors import SurfaceWarning
+from ..base.notices import warn
 from ..meshes.mesh import Mesh
 from ..meshes.part import Part
 from . import field_cache
 from .instance import Instance
 from .materials import PLAIN, Material, scattering_rgb
-from .sheets import NO_SHEET, Look, Sheet, sheet_of
+from .sheets import NO_SHEET, THIN_VOXELS, Look, Sheet, needed_resolution, sheet_of
 
 #: Converted images by the id of their pixels, with the pixels, so that no id is reused.
 Textures = dict[int, tuple[NDArray[np.uint8], _core.Texture]]
@@ -118,6 +120,7 @@ class SceneBuilder:
         self._fields: dict[object, _core.SceneField] = {}
         self._quadrics: dict[int, list[_core.SceneField]] = {}
         self._sheets: dict[object, Sheet] = {}
+        self._needed: dict[tuple[int, int], int | None] = {}
         # Textures of the first scene and of the last scene: materials may differ from scene to scene.
         self._first: Textures | None = None
         self._textures: Textures = {}
@@ -146,6 +149,8 @@ class SceneBuilder:
                     looks = [Look.of(material, part, is_colored) for part in thing.parts]
                     looks_of[key] = looks, self._sheet(thing, looks)
                 looks, sheet = looks_of[key]
+                if fields.of_solids and not sheet.is_traced:
+                    sheet = self._with_thin_walls(number, instance, looks, sheet, fields)
                 is_baked = fields.of_sheets if sheet.is_traced else fields.of_solids
                 baked = self._baked(thing, instance.resolution, device, looks, sheet) if is_baked else None
                 rows.add(number, instance, self._mesh(thing, is_colored), baked, looks, sheet)
@@ -173,6 +178,32 @@ class SceneBuilder:
         if key not in self._sheets:
             self._sheets[key] = sheet_of(mesh, looks)
         return self._sheets[key]
+
+    def _with_thin_walls(
+        self, number: int, instance: Instance, looks: Sequence[Look], sheet: Sheet, fields: Fields
+    ) -> Sheet:
+        """Make a mesh a sheet for light if its field would lose thin walls; warn where the field is needed."""
+        mesh, resolution = instance.thing, instance.resolution
+        assert isinstance(mesh, Mesh)
+        key = id(mesh), resolution
+        is_new = key not in self._needed
+        if is_new:
+            self._needed[key] = needed_resolution(mesh, resolution)
+        needed = self._needed[key]
+        if needed is None:
+            return sheet
+        # A translucent solid is one layer of its field, and scattered light needs the length of the path inside.
+        is_opaque = instance.opacity >= 1 and all(
+            look.alpha_mode != "blend" or look.opacity.min() == 1 for look in looks
+        )
+        is_traced = is_opaque and not (instance.material and any(scattering_rgb(instance.material)))
+        if is_new and (fields.of_sheets or not is_traced):
+            warn(
+                f"instances[{number}]: parts of the mesh are thinner than {THIN_VOXELS} voxels of its field, which may "
+                f"lose them and their shadows; use Instance(resolution={needed}) instead of {resolution}",
+                SurfaceWarning,
+            )
+        return sheet._replace(is_traced=is_traced)
 
     def _baked(self, mesh: Mesh, resolution: int, device: str, looks: Sequence[Look], sheet: Sheet) -> _core.SceneField:
         if any(look.alpha_mode == "mask" for look in looks):

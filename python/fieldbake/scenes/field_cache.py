@@ -79,7 +79,7 @@ def use_disk(folder: str | os.PathLike[str] | None = None) -> Path:
         import platformdirs
 
         folder = platformdirs.user_cache_dir("fieldbake")
-    _disk = Path(folder)
+    _disk = checks.path(folder, "folder")
     _disk.mkdir(parents=True, exist_ok=True)
     return _disk
 

@@ -146,12 +146,15 @@ def _transform(node: dict[str, Any]) -> NDArray[np.float64]:
 
 
 def _camera(document: dict[str, Any], node: dict[str, Any], world_from_node: NDArray[np.float64]) -> Camera | None:
-    """Make a camera; the scale of its node is ignored."""
+    """Make a camera; the scale of its node is ignored, but a scale of 0 hides the camera."""
     if "camera" not in node:
         return None
     camera = document["cameras"][node["camera"]]
     pose = world_from_node.copy()
-    pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
+    lengths = np.linalg.norm(pose[:3, :3], axis=0)
+    if not lengths.all():
+        return None
+    pose[:3, :3] /= lengths
     try:
         if "orthographic" in camera:
             return Camera.from_pose(pose, height=2 * float(camera["orthographic"]["ymag"]))

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.grid import make_grid
 from ..meshes.mesh import Mesh
 from ..meshes.part import Part
+from ..queries.rays import cast_rays
+from ..queries.sampling import sample_surface
 from .materials import PLAIN, Material
 
 #: A mesh is flat if it deviates from a plane by less than this fraction of its extent.
@@ -19,6 +23,19 @@ FLAT = 1e-6
 #: is zero for a closed surface, the area of the hole for a surface with a flat hole, and the whole area for a flat
 #: sheet.
 SHEET_SHARE = 0.1
+
+#: A wall is thin if the path through it has fewer voxels. Samples may miss a wall of one voxel at some angles.
+THIN_VOXELS = 1.5
+
+#: Number of samples of a surface that measure its walls, and the largest cosine between the normals of both sides of a
+#: wall.
+WALL_SAMPLES = 1000
+FACING = -0.5
+
+#: Fraction of a surface that may be thin before its field loses parts: the tips and edges of an ordinary solid. An open
+#: surface has no certain inside, so more of it may seem thin.
+THIN_SHARE = 0.003
+THIN_SHARE_OPEN = 0.02
 
 
 class Look(NamedTuple):
@@ -109,6 +126,26 @@ def sheet_of(mesh: Mesh, looks: Sequence[Look]) -> Sheet:
     # A closed body that is wound inside out is the same solid. Its faces are visible from behind. The wall of a cavity
     # counts as such a body too; this differs only for a camera inside the wall.
     return Sheet(is_traced, not is_open and not translucent and mesh._core.has_reversed_body())
+
+
+def needed_resolution(mesh: Mesh, resolution: int) -> int | None:
+    """Return the resolution of a field that has the thin walls of a mesh; None if `resolution` has them.
+
+    Rays from samples of the surface through the inside measure the walls. The samples depend on the faces and not on
+    their orientation in space. The result has at least nine of ten thin walls.
+    """
+    voxel = max(make_grid(mesh.bounds, resolution).spacing)
+    samples = sample_surface(mesh, WALL_SAMPLES)
+    start, end = 1e-9 * resolution * voxel, THIN_VOXELS * voxel
+    walls = np.full(WALL_SAMPLES, np.inf)
+    # The inside of a body that is wound inside out is where its normals point.
+    for sign in (-1.0, 1.0) if mesh._core.has_reversed_body() else (-1.0,):
+        hits = cast_rays(mesh, samples.points, sign * samples.normals, t_min=start, t_max=end, device="cpu")
+        is_wall = hits.hit & (np.einsum("ij,ij->i", hits.normals, samples.normals) < FACING)
+        walls[is_wall] = np.minimum(walls, hits.t)[is_wall]
+    thin = walls[np.isfinite(walls)]
+    share = THIN_SHARE if mesh.topology()["closed"] else THIN_SHARE_OPEN
+    return math.ceil(resolution * end / float(np.quantile(thin, 0.1))) if len(thin) > share * WALL_SAMPLES else None
 
 
 def _is_flat(mesh: Mesh) -> bool:
