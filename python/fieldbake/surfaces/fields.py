@@ -237,6 +237,10 @@ class TangentSource:
             normals[rows][far] = np.nan
         surface.use_planes(points, normals)
 
+    def opposite(self) -> TangentSource:
+        """Make the source of the negative field."""
+        return TangentSource(complement(self.field))
+
     def planes(self, points: Array, level: float) -> tuple[Array, Array]:
         """Evaluate tangent planes next to points (n, 3): a point and a normal of each, (n, 3)."""
         return projected(self.field, points, level)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from ..base import checks
@@ -23,7 +21,7 @@ def check_tolerance(value: float) -> float:
     except ArgumentError as error:
         raise MeshError(str(error)) from None
     if tolerance > 0:
-        _manifold3d()
+        optional_module("manifold3d", "simplify", extra="simplify")
     return tolerance
 
 
@@ -33,18 +31,13 @@ def simplified(mesh: Mesh, tolerance: float) -> Mesh:
     The vertices of the result are a subset of those of the mesh. manifold3d moves a surface by up to about twice its
     own tolerance. That tolerance is reduced until the measured distance, in both directions, is at most `tolerance`.
     """
-    manifold3d = _manifold3d()
-    # manifold3d needs writable arrays.
-    vertices, faces = np.array(mesh.vertices), np.array(mesh.faces, np.uint64)
-    body = manifold3d.Manifold(manifold3d.Mesh64(vertices, faces))
-    if body.status() != manifold3d.Error.NoError:
-        raise MeshError(f"simplify: manifold3d cannot read the mesh of {len(faces):,} faces: {body.status().name}")
+    body = mesh.to_manifold()
     # A tolerance beyond the size of the mesh removes every face.
     tried = min(tolerance, float(np.ptp(mesh.bounds, axis=0).max()))
     for _ in range(MOST_TRIALS):
         made = body.simplify(tried).to_mesh64()
         count = len(made.tri_verts)
-        if count == len(faces):
+        if count == len(mesh.faces):
             return mesh  # A smaller tolerance removes no more faces.
         if count == 0:
             tried /= 2
@@ -57,7 +50,3 @@ def simplified(mesh: Mesh, tolerance: float) -> Mesh:
             return result
         tried *= 0.9 * tolerance / moved
     return mesh
-
-
-def _manifold3d() -> Any:
-    return optional_module("manifold3d", "simplify", extra="simplify")

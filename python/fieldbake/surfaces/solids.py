@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
@@ -11,7 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError, MeshError
-from ..base.grid import Grid, Resolution, make_grid
+from ..base.grid import Grid, Resolution, check_count, make_grid
+from ..base.notices import warn_surface
+from ..base.progress import Progress, part, watched
+from ..base.report import count_text
 from ..meshes.convert import MeshLike, as_mesh
 from ..meshes.isosurface import MeshSource, Source, extract
 from ..meshes.mesh import Mesh
@@ -43,6 +47,7 @@ def solid(
     fill: Fill = "winding",
     seal: float = 0,
     simplify: float = 0,
+    progress: Progress = None,
 ) -> Mesh:
     """Make a closed two-manifold mesh of any triangles.
 
@@ -62,6 +67,8 @@ def solid(
     simplify : float, default 0
         Largest movement of the surface, world units, by which manifold3d may remove faces (extra ``simplify``). The
         distances of the report are measured after it.
+    progress : bool or callable, optional
+        True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 
     Returns
     -------
@@ -69,8 +76,15 @@ def solid(
         Every edge belongs to two faces, every vertex has one fan of faces, and faces are counter-clockwise seen from
         outside. `report` is a :class:`SolidReport`.
 
+    Warns
+    -----
+    SurfaceWarning
+        If faces of the result pass through each other; `report.self_intersections` is their number.
+
     Raises
     ------
+    ArgumentError
+        If the resolution gives more than 2^40 voxels.
     MeshError
         If the mesh cannot be used, encloses nothing at this resolution, or an option is out of range.
 
@@ -86,32 +100,42 @@ def solid(
     diameter = _number("seal", seal, least=0)
     tolerance = check_tolerance(simplify)
     field: MeshField | OuterField
-    if fill == "outer":
-        # The flood needs free voxels between the mesh and the box, in which the seal fits.
-        grid = _grid(source.bounds, resolution, border=2 + diameter / 2)
-        radius = diameter / 2 * max(grid.spacing)
-        field = OuterField(source, _core.OuterSides(source._core, grid.lower, grid.upper, grid.shape, radius))
-    elif diameter > 0:
+    if diameter > 0 and fill == "winding":
         raise MeshError('seal: closes holes with fill="outer" only')
-    else:
-        grid = _grid(source.bounds, resolution)
-        field = MeshField(source)
-    surface = level_set(field.values, grid, 0.0, samples=field.samples)
+    # The flood needs free voxels between the mesh and the box, in which the seal fits.
+    grid = _grid(source.bounds, resolution, border=2 + diameter / 2 if fill == "outer" else 1.0)
     nothing = "it encloses no voxel centre. Raise the resolution, or give sheets a thickness by shell(..., side='both')"
     if fill == "outer":
         nothing += f". If it has openings, close them by a larger seal=, got {seal}, or use fill='winding'"
-    return _extracted(
-        surface,
-        MeshSource(source),
-        grid,
-        f"mesh: {nothing}",
-        lambda made: made._core.deviation(source._core)[0],
-        lambda made: source._core.deviation(made._core)[0],
-        tolerance=tolerance,
-    )
+    with watched(progress, "solid"):
+        if fill == "outer":
+            radius = diameter / 2 * max(grid.spacing)
+            with part(0.0, 0.2):
+                sides = _core.OuterSides(source._core, grid.lower, grid.upper, grid.shape, radius)
+            field = OuterField(source, sides)
+        else:
+            field = MeshField(source)
+        with part(0.2, 0.6):
+            surface = level_set(field.values, grid, 0.0, samples=field.samples)
+        return _extracted(
+            surface,
+            MeshSource(source),
+            grid,
+            f"mesh: {nothing}",
+            lambda made: made._core.deviation(source._core)[0],
+            lambda made: source._core.deviation(made._core)[0],
+            tolerance=tolerance,
+        )
 
 
-def offset(mesh: MeshLike, distance: float, resolution: Resolution = 256, *, simplify: float = 0) -> Mesh:
+def offset(
+    mesh: MeshLike,
+    distance: float,
+    resolution: Resolution = 256,
+    *,
+    simplify: float = 0,
+    progress: Progress = None,
+) -> Mesh:
     """Make the surface at a distance from a mesh.
 
     Parameters
@@ -125,6 +149,8 @@ def offset(mesh: MeshLike, distance: float, resolution: Resolution = 256, *, sim
         Voxels along the longest side of the box of the result, or along x, y and z.
     simplify : float, default 0
         As for :func:`solid`.
+    progress : bool or callable, optional
+        True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 
     Returns
     -------
@@ -149,17 +175,19 @@ def offset(mesh: MeshLike, distance: float, resolution: Resolution = 256, *, sim
     bounds = source.bounds + max(distance, 0.0) * np.array([[-1.0], [1.0]])
     grid = _grid(bounds, resolution)
     field = Shifted(MeshField(source), distance)
-    surface = level_set(field.field.values, grid, distance, samples=field.field.samples)
-    return _extracted(
-        surface,
-        MeshSource(source),
-        grid,
-        f"distance: nothing of the mesh is left at {distance:g}, because its thickest part is thinner",
-        lambda made: to_ideal(made, field, grid),
-        lambda made: from_ideal(made, field, grid),
-        level=distance,
-        tolerance=tolerance,
-    )
+    with watched(progress, "offset"):
+        with part(0.0, 0.6):
+            surface = level_set(field.field.values, grid, distance, samples=field.field.samples)
+        return _extracted(
+            surface,
+            MeshSource(source),
+            grid,
+            f"distance: nothing of the mesh is left at {distance:g}, because its thickest part is thinner",
+            lambda made: to_ideal(made, field, grid),
+            lambda made: from_ideal(made, field, grid),
+            level=distance,
+            tolerance=tolerance,
+        )
 
 
 def shell(
@@ -170,6 +198,7 @@ def shell(
     open: ArrayLike | str | Sequence[str] = (),
     *,
     simplify: float = 0,
+    progress: Progress = None,
 ) -> Mesh:
     """Hollow a mesh: make a wall of constant thickness along its surface.
 
@@ -188,11 +217,18 @@ def shell(
         normal is within 45 degrees of a direction get no wall.
     simplify : float, default 0
         As for :func:`solid`.
+    progress : bool or callable, optional
+        True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 
     Returns
     -------
     Mesh
         As for :func:`solid`. The source of the report is the ideal surface of the wall.
+
+    Warns
+    -----
+    SurfaceWarning
+        As for :func:`solid`, and if the wall is thinner than a voxel.
 
     Raises
     ------
@@ -225,16 +261,19 @@ def shell(
         near = Shifted(MeshField(kept, unsigned=True), thickness)
         within = MeshField(source) if side == "inward" else complement(MeshField(source))
         field = Intersection(within, near)
-    surface = level_set(field.values, grid, 0.0, samples=field.samples)
-    return _extracted(
-        surface,
-        TangentSource(field),
-        grid,
-        f"thickness: no wall of {thickness:g} is left; it must be about a voxel ({max(grid.spacing):.3g}) or more",
-        lambda made: to_ideal(made, field, grid),
-        lambda made: from_ideal(made, field, grid),
-        tolerance=tolerance,
-    )
+    with watched(progress, "shell"):
+        with part(0.0, 0.6):
+            surface = level_set(field.values, grid, 0.0, samples=field.samples)
+        return _extracted(
+            surface,
+            TangentSource(field),
+            grid,
+            f"thickness: no wall of {thickness:g} is left; it must be about a voxel ({max(grid.spacing):.3g}) or more",
+            lambda made: to_ideal(made, field, grid),
+            lambda made: from_ideal(made, field, grid),
+            tolerance=tolerance,
+            wall=thickness,
+        )
 
 
 def boolean(
@@ -245,6 +284,7 @@ def boolean(
     resolution: Resolution = 256,
     smooth: float = 0,
     simplify: float = 0,
+    progress: Progress = None,
 ) -> Mesh:
     """Combine two solids.
 
@@ -261,6 +301,8 @@ def boolean(
         distances differ by less than this width.
     simplify : float, default 0
         As for :func:`solid`.
+    progress : bool or callable, optional
+        True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 
     Returns
     -------
@@ -302,16 +344,18 @@ def boolean(
         field = complement(Intersection(complement(one), complement(two), smooth))
     else:
         field = Intersection(one, two if op == "intersection" else complement(two), smooth)
-    surface = level_set(field.values, grid, 0.0, samples=field.samples)
-    return _extracted(
-        surface,
-        TangentSource(field),
-        grid,
-        nothing,
-        lambda made: to_ideal(made, field, grid),
-        lambda made: from_ideal(made, field, grid),
-        tolerance=tolerance,
-    )
+    with watched(progress, "boolean"):
+        with part(0.0, 0.6):
+            surface = level_set(field.values, grid, 0.0, samples=field.samples)
+        return _extracted(
+            surface,
+            TangentSource(field),
+            grid,
+            nothing,
+            lambda made: to_ideal(made, field, grid),
+            lambda made: from_ideal(made, field, grid),
+            tolerance=tolerance,
+        )
 
 
 def _extracted(
@@ -324,15 +368,33 @@ def _extracted(
     *,
     tolerance: float,
     level: float = 0.0,
+    wall: float = math.inf,
 ) -> Mesh:
-    """Extract the mesh of a surface, simplify it, and attach its report; of an empty one raise `nothing`."""
-    made = extract(surface, level, source, sharp=True, capped=True)
+    """Extract the mesh of a surface, simplify it, and attach its report; of an empty one raise `nothing`.
+
+    A warning names a wall thinner than a voxel, and faces that cross each other.
+    """
+    with part(0.6, 0.9):
+        made = extract(surface, level, source, sharp=True, capped=True)
     if not len(made.faces):
         raise MeshError(nothing)
     clamped = made.report.clamped_vertices if made.report else 0
     if tolerance > 0:
         made = simplified(made, tolerance)
-    made._report = SolidReport(clamped, max(grid.spacing), made, to_source, from_source)
+    made._report = report = SolidReport(clamped, max(grid.spacing), made, to_source, from_source)
+    warnings = []
+    if wall < report.voxel_size:
+        warnings.append(
+            f"the wall of {wall:g} is thinner than a voxel ({report.voxel_size:.3g}), so it may have holes and faces "
+            "that cross; raise the resolution"
+        )
+    with part(0.9, 1.0):
+        if report.self_intersections:
+            warnings.append(
+                f"the result has {count_text(report.self_intersections, 'self-intersection')}, pairs of faces that "
+                "pass through each other; raise the resolution"
+            )
+    warn_surface(warnings)
     return made
 
 
@@ -375,7 +437,7 @@ def _direction(value: Any) -> NDArray[np.float64]:
 
 def _grid(bounds: NDArray[np.float64], resolution: Resolution, border: float = 1.0) -> Grid:
     """The grid around a surface in a box, with `border` free voxels on each side."""
-    return make_grid(bounds, resolution, margin=0.0, border=border)
+    return check_count(make_grid(bounds, resolution, margin=0.0, border=border))
 
 
 def _number(name: str, value: object, *, least: float | None = None) -> float:
