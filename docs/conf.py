@@ -6,6 +6,7 @@ import hashlib
 import os
 import shutil
 import sys
+from importlib.metadata import metadata
 from pathlib import Path
 
 import fieldbake
@@ -93,7 +94,10 @@ html_css_files = ["site.css"]
 html_show_sourcelink = False
 html_copy_source = False
 html_show_search_summary = False  # a page that is opened as a file cannot fetch the others
+# Addresses of the project: Homepage, Source and others, from pyproject.toml.
+URLS = dict(line.split(", ", 1) for line in metadata("fieldbake").get_all("Project-URL") or [])
 html_theme_options = {
+    "icon_links": [{"name": "Source", "url": URLS["Source"], "icon": "fa-solid fa-code"}],
     "navbar_align": "left",
     "navbar_persistent": ["search-button"],
     "header_links_before_dropdown": 7,

@@ -37,3 +37,12 @@ def test_the_wheel_is_for_the_oldest_python():
     oldest = re.search(r'requires-python = ">=3\.(\d+)"', text("pyproject.toml"))[1]
 
     assert f"abi3-py3{oldest}" in text("Cargo.toml")
+
+
+def test_the_citation_has_the_addresses_of_the_package():
+    addresses = text("pyproject.toml").partition("[project.urls]")[2].partition("\n[")[0]
+    urls = dict(re.findall(r'^(\w+) = "(.*)"$', addresses, re.MULTILINE))
+
+    assert {"Homepage", "Documentation", "Source", "Issues", "Changelog"} <= set(urls)
+    assert f"\nurl: {urls['Homepage']}\n" in text("CITATION.cff")
+    assert f"\nrepository-code: {urls['Source']}\n" in text("CITATION.cff")
