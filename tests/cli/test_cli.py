@@ -393,7 +393,13 @@ def test_convert_names_what_cannot_be_written(cube, tmp_path):
     fb.pack([volume], page_size=64).save(tmp_path / "p.npz")
     result = fieldbake("convert", tmp_path / "v.npz", tmp_path / "v.png")
     assert result.exit_code == BAD_INPUT
-    assert_one_clear_line(result, "a volume is written as .npz, .vdb, .nvdb, .vti, .nrrd, .dds, .ktx2, .vf or .exr")
+    assert_one_clear_line(result, "only an atlas is written as .png", f"fieldbake render {tmp_path / 'v.npz'}")
+    result = fieldbake("convert", cube, tmp_path / "v.png")
+    assert result.exit_code == BAD_INPUT
+    assert_one_clear_line(result, f"fieldbake render {cube}")
+    result = fieldbake("convert", tmp_path / "v.npz", tmp_path / "v.html")
+    assert result.exit_code == BAD_INPUT
+    assert_one_clear_line(result, f"fieldbake view {tmp_path / 'v.npz'} -o {tmp_path / 'v.html'}")
     result = fieldbake("convert", tmp_path / "p.npz", tmp_path / "q.npz", "--encoding", "snorm8")
     assert result.exit_code == BAD_USAGE
     result = fieldbake("convert", cube, tmp_path / "q.npz")
@@ -404,6 +410,7 @@ def test_convert_names_what_cannot_be_written(cube, tmp_path):
 def test_pack_fits_the_page_to_its_volumes(cube, tmp_path):
     result = fieldbake("pack", cube, "-r", 8, "--page-size", "fit", "-o", tmp_path / "a.npz")
     assert result.exit_code == DONE, result.stderr
+    assert "cube: 8 x 8 x 8 voxels" in result.stdout
     # Eight slices of 10 x 10 texels with their gutters.
     assert fb.load(tmp_path / "a.npz").page_size == 32
     assert fieldbake("pack", cube, "--page-size", "large", "-o", tmp_path / "b.npz").exit_code == BAD_USAGE

@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+import trimesh
 from typer.testing import CliRunner
 
 import fieldbake as fb
@@ -108,6 +109,42 @@ def test_quiet_runs_print_nothing(folder, tmp_path, place):
     assert (result.exit_code, result.stdout, result.stderr) == (DONE, "", "")
     result = fieldbake("info", tmp_path / "v.npz")
     assert result.stdout != ""
+
+
+@pytest.fixture
+def textured(tmp_path):
+    """A .glb file with a texture that no picture shows."""
+    from PIL import Image
+
+    cube = trimesh.creation.box()
+    material = trimesh.visual.material.PBRMaterial(metallicRoughnessTexture=Image.new("RGB", (2, 2)))
+    cube.visual = trimesh.visual.TextureVisuals(uv=np.zeros((len(cube.vertices), 2)), material=material)
+    cube.export(tmp_path / "cube.glb")
+    return tmp_path / "cube.glb"
+
+
+@pytest.mark.parametrize(
+    ("command", "warns"),
+    [
+        (("bake", "cube.glb", "-r", "8", "-o", "v.npz"), False),
+        (("pack", "cube.glb", "-r", "8", "-o", "a.npz"), False),
+        (("sample", "cube.glb", "-n", "10", "-o", "s"), False),
+        (("convert", "cube.glb", "cube.obj"), True),
+        (("convert", "-q", "cube.glb", "cube.obj"), False),
+    ],
+    ids=["bake", "pack", "sample", "convert", "quiet"],
+)
+def test_warnings_about_materials_are_one_line_where_materials_count(textured, command, warns):
+    """In a process of its own, since warnings of this one are errors."""
+    done = subprocess.run(
+        [sys.executable, "-m", "fieldbake", *command],
+        cwd=textured.parent,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    assert done.stderr == ("warning: cube.glb: not used: metallic-roughness textures\n" if warns else "")
 
 
 def test_no_clobber_keeps_files_that_exist(folder, tmp_path):
@@ -286,3 +323,25 @@ def test_fields_are_not_written_to_a_terminal(tmp_path):
 
     assert done.returncode == 2
     assert "standard output is a terminal" in done.stderr
+
+
+@pytest.mark.parametrize(("name", "engine"), [("a.dds", None), ("a.exr", "unity"), ("a.exr", "godot"), ("a.png", None)])
+def test_info_describes_a_field_once_with_the_files_beside_it(folder, name, engine, tmp_path):
+    volume = fb.load(folder / "v.npz")
+    if name == "a.png":
+        fb.pack([volume], page_size="fit").save(tmp_path / name)
+    else:
+        volume.save(tmp_path / name, engine=engine)
+    files = sorted(tmp_path.iterdir())
+    assert len(files) == 2 + (engine is not None or name == "a.png")
+    for given in (files, files[::-1], [files[-1]]):
+        result = fieldbake("info", *given, "--json")
+        assert result.exit_code == DONE, result.stderr
+        (line,) = result.stdout.splitlines()
+        assert json.loads(line)["file"] == str(tmp_path / name)
+
+    other = tmp_path / "notes.json"
+    other.write_text("{}")
+    result = fieldbake("info", other)
+    assert result.exit_code == BAD_INPUT
+    assert "'.json'" in result.stderr

@@ -1,5 +1,7 @@
 """Commands on many meshes: folders, exit status and the names of failed items."""
 
+import json
+
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -50,6 +52,32 @@ def test_options_of_folders_need_a_folder(library, tmp_path):
     assert not (tmp_path / "many").exists()
 
 
+@pytest.mark.parametrize("command", [("bake", "-r", 12), ("sample", "-n", 300)], ids=["bake", "sample"])
+def test_the_summary_counts_the_results_in_doubt(library, tmp_path, command):
+    opened = tmp_path / "in" / "opened.obj"
+    opened.write_text("\n".join(library[0].read_text().splitlines()[:-1]))
+    name, *options = command
+    for status in ("done", "skipped"):
+        result = fieldbake(name, *library, opened, "-o", tmp_path / "out", *options, "--jobs", 1)
+        assert result.exit_code == 0, result.stderr
+        assert f"3 {status}" in result.stdout
+        assert "1 of 3 results have warnings or uncertain signs" in result.stdout
+        assert "ledger.jsonl has their reports" in result.stdout
+    rows = [json.loads(line) for line in (tmp_path / "out" / "ledger.jsonl").read_text().splitlines()]
+    assert [row["path"] for row in rows if row["report"]["boundary_edges"]] == [str(tmp_path / "out" / "opened.npz")]
+    assert "warnings" not in fieldbake(name, *library, "-o", tmp_path / "out", *options, "--jobs", 1).stdout
+    assert fieldbake("-q", name, *library, opened, "-o", tmp_path / "out", *options, "--jobs", 1).output == ""
+
+
+@pytest.mark.parametrize("command", [("bake", "-r", 12), ("sample", "-n", 300)], ids=["bake", "sample"])
+def test_files_with_equal_stems_keep_their_ending(library, tmp_path, command):
+    fb.load_mesh(library[1]).save(tmp_path / "in" / "box_0.ply")
+    name, *options = command
+    result = fieldbake(name, *library, tmp_path / "in" / "box_0.ply", "-o", tmp_path / "out", *options, "--jobs", 1)
+    assert result.exit_code == 0, result.stderr
+    assert {path.name for path in (tmp_path / "out").glob("*.npz")} == {"box_0.obj.npz", "box_0.ply.npz", "box_1.npz"}
+
+
 def test_sample_writes_training_samples(library, tmp_path):
     result = fieldbake("sample", *library, "-o", tmp_path / "samples", "-n", 300, "--jobs", 1)
 
@@ -57,3 +85,15 @@ def test_sample_writes_training_samples(library, tmp_path):
     with np.load(tmp_path / "samples" / "box_0.npz") as found:
         assert found["points"].shape == (300, 3)
         assert np.abs(found["distances"] - fb.signed_distance(library[0], found["points"])).max() <= 1e-5
+
+
+def test_sample_normalizes_meshes(library, tmp_path):
+    options = ["-n", 300, "--jobs", 1, "--normalize", "unit sphere", "--dtype", "float32"]
+    result = fieldbake("sample", library[1], "-o", tmp_path / "samples", *options)
+    assert result.exit_code == 0, result.stderr
+    unit, transform = fb.normalize(library[1], "unit sphere")
+    with np.load(tmp_path / "samples" / "box_1.npz") as found:
+        assert np.array_equal(found["transform"], transform)
+        assert found["points"].dtype == np.float32
+        assert np.abs(found["distances"] - fb.signed_distance(unit, found["points"])).max() <= 1e-6
+    assert fieldbake("sample", *library, "-o", tmp_path / "no", "--normalize", "unit").exit_code == 2

@@ -1,9 +1,11 @@
 """The commands ``query`` and ``check``."""
 
+import io
 import json
 
 import numpy as np
 import pytest
+import trimesh
 from typer.testing import CliRunner
 
 import fieldbake as fb
@@ -18,8 +20,8 @@ def model(tmp_path):
     return path
 
 
-def run(*arguments):
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+def run(*arguments, input=None):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments], input=input)
 
 
 @pytest.mark.parametrize("kind", ["npy", "csv", "xyz", "ply"])
@@ -34,7 +36,6 @@ def test_points_of_every_format_are_answered(kind, ending, model, tmp_path, rand
     elif kind == "xyz":
         np.savetxt(source, points, fmt="%.17g")
     else:
-        trimesh = pytest.importorskip("trimesh")
         trimesh.PointCloud(points).export(source)
 
     result = run("query", model, source, "-o", target)
@@ -49,11 +50,46 @@ def test_points_of_every_format_are_answered(kind, ending, model, tmp_path, rand
         assert np.array_equal(table[:, 7], expected.faces)
 
 
+@pytest.mark.parametrize("kind", ["npy", "csv", "xyz", "ply"])
+def test_points_and_results_pass_through_streams(kind, model, tmp_path, random):
+    points = random.uniform(-3, 3, (20, 3)).astype(np.float32).astype(np.float64)
+    stream = io.BytesIO()
+    if kind == "npy":
+        np.save(stream, points)
+    elif kind == "ply":
+        stream.write(trimesh.PointCloud(points).export(file_type="ply"))
+    else:
+        text = {"delimiter": ",", "header": "x,y,z", "comments": ""} if kind == "csv" else {}
+        np.savetxt(stream, points, fmt="%.17g", **text)
+
+    found = run("query", model, "-", "-o", "-", input=stream.getvalue())
+    binary = run("query", model, "-", "-o", "-", "--from", kind, "--to", "npy", input=stream.getvalue())
+
+    assert (found.exit_code, binary.exit_code) == (0, 0), found.output
+    table = np.loadtxt(io.StringIO(found.stdout), delimiter=",", skiprows=1)
+    assert np.array_equal(table[:, 0], fb.query(model, points).distances)
+    assert np.array_equal(np.load(io.BytesIO(binary.stdout_bytes)), table)
+
+
+def test_streams_of_points_have_errors_and_warnings_on_stderr(model, tmp_path):
+    for given in (b"", b"hello", b"\xff\xfe\x00", b"1,2\n"):
+        result = run("query", model, "-", "-o", "-", input=given)
+        assert (result.exit_code, result.stdout) == (1, "")
+        assert "error: " in result.stderr
+    fb.Mesh(*meshes.open_box()).save(tmp_path / "open.obj")
+    result = run("query", tmp_path / "open.obj", "-", "-o", "-", input=b"0,0,0\n")
+    assert result.stderr.startswith("warning: the surface is open")
+    assert len(result.stdout.splitlines()) == 2
+    assert run("query", "-q", tmp_path / "open.obj", "-", "-o", "-", input=b"0,0,0\n").stderr == ""
+
+
 def test_a_bad_output_fails_before_any_work(model, tmp_path):
     np.save(tmp_path / "p.npy", np.zeros((1, 3)))
 
     assert run("query", model, tmp_path / "p.npy", "-o", tmp_path / "a.xyz").exit_code == 2
-    assert run("query", model, tmp_path / "p.npy", "-o", tmp_path / "no" / "a.npy").exit_code == 2
+    # As all commands: the folder is missing, or the file exists.
+    assert run("query", model, tmp_path / "p.npy", "-o", tmp_path / "no" / "a.npy").exit_code == 1
+    assert run("query", "--no-clobber", model, tmp_path / "p.npy", "-o", tmp_path / "p.npy").exit_code == 1
     (tmp_path / "bad.csv").write_text("x,y\n1,2\n")
     assert run("query", model, tmp_path / "bad.csv", "-o", tmp_path / "a.npy").exit_code == 1
 

@@ -1,5 +1,7 @@
 """The commands mesh, solid and boolean."""
 
+import warnings
+
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -69,3 +71,25 @@ def test_mistakes_end_before_a_file_is_written(files, arguments, code):
     result = run(*(files / word if word in known else word for word in arguments))
     assert result.exit_code == code, result.output
     assert not list(files.glob("out.*"))
+
+
+def test_intensities_are_solid_above_the_level(tmp_path):
+    ball = fb.bake(fb.sphere(1), 32)
+    scan = fb.Volume(-1000 * ball.distances, ball.bounds)
+    scan.save(tmp_path / "scan.nrrd")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", fb.SurfaceWarning)
+        negative = run("mesh", tmp_path / "scan.nrrd", "-o", tmp_path / "negative.stl")
+    assert negative.exit_code == 0
+    assert 'inside="above"' in " ".join(negative.output.split())
+    result = run("mesh", tmp_path / "scan.nrrd", "--level", "100", "--inside", "above", "-o", tmp_path / "ball.stl")
+    assert result.exit_code == 0
+    assert "warning" not in result.output
+    assert fb.load_mesh(tmp_path / "ball.stl").volume == pytest.approx(4 * np.pi / 3 * 0.9**3, rel=0.01)
+
+
+def test_meshes_and_shapes_have_no_solid_above(files):
+    for name in ("a.ply", "part.csg"):
+        result = run("mesh", files / name, "--inside", "above", "-o", files / "out.ply")
+        assert result.exit_code == 2
+        assert "--inside" in result.output

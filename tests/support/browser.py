@@ -125,11 +125,14 @@ const run = (job) => {
     const [inner, outer, type, list] = {
       r32float: [gl.R32F, gl.RED, gl.FLOAT, Float32Array],
       rgba32float: [gl.RGBA32F, gl.RGBA, gl.FLOAT, Float32Array],
+      r16sint: [gl.R16I, gl.RED_INTEGER, gl.SHORT, Int16Array],
       r32uint: [gl.R32UI, gl.RED_INTEGER, gl.UNSIGNED_INT, Uint32Array],
     }[format];
-    const target = { "2d": gl.TEXTURE_2D, "3d": gl.TEXTURE_3D, "filtered pages": gl.TEXTURE_2D_ARRAY }[kind];
+    const pages = gl.TEXTURE_2D_ARRAY;
+    const target = { "2d": gl.TEXTURE_2D, "3d": gl.TEXTURE_3D, "pages": pages, "filtered pages": pages }[kind];
     texture(unit, target, kind === "filtered pages");
     const data = new list(values);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
     if (kind === "2d") gl.texImage2D(target, 0, inner, ...size, 0, outer, type, data);
     else gl.texImage3D(target, 0, inner, ...size, 0, outer, type, data);
     gl.uniform1i(gl.getUniformLocation(program, name), unit);
@@ -166,7 +169,7 @@ void main() {
 
 
 class Texture(NamedTuple):
-    """A float or integer texture; `kind` is "2d", "3d" or "filtered pages", an array with linear filtering."""
+    """A float or integer texture; `kind` is "2d", "3d", "pages", which is an array, or "filtered pages"."""
 
     name: str
     format: str

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import math
+import re
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 
 import fieldbake as fb
 from browser import PIXELS, WEB, node_tool, visit
+from fieldbake.viewing.content import Content, content_of
 from fieldbake.viewing.page import bundle
 
 #: Pixels of the pictures here.
@@ -160,3 +162,52 @@ def test_a_large_page_warns() -> None:
     noise = fb.Volume(np.random.default_rng(3).uniform(-1, 1, (110, 110, 110)), [(0, 0, 0), (1, 1, 1)])
     with pytest.warns(UserWarning, match='encoding="snorm8"'):
         noise.to_html(encoding="float32", size=(16, 16))
+
+
+def content(thing: object) -> Content:
+    return content_of(thing, None, "snorm8", SIZE)
+
+
+def test_the_page_of_a_large_shape_says_that_a_field_is_drawn() -> None:
+    few, many = (
+        fb.csg.union([fb.sphere(0.1).translate((x, y, 0)) for x in range(side) for y in range(side)])
+        for side in (3, 10)
+    )
+    assert content(few).title == "Shape"
+    title = content(many).title
+    assert re.fullmatch(r"Shape, 100 leaves, drawn by its field of 192 x 192 x \d+", title)
+    assert f"<title>{title}</title>" in many.to_html(size=SIZE)
+    names = [placed.name for placed in content(fb.Scene([few, many])).placed]
+    assert names == ["Shape", "Shape, drawn by its field of 192 voxels along the longest side"]
+
+
+def test_the_page_states_open_meshes_and_missing_textures() -> None:
+    closed = fb.models.torus_knot()
+    opened = fb.Mesh(closed.vertices, closed.faces[:-40])
+    texture = np.zeros((4, 4, 3), np.uint8)
+    textured = fb.Mesh(closed.vertices, closed.faces, uv=np.zeros((len(closed.vertices), 2)), texture=texture)
+    assert content(closed).remarks == []
+    assert content(opened).remarks == ["the mesh is open, and its field closes the openings"]
+    assert content(textured).remarks == ["textures are not drawn"]
+    assert content(fb.Scene([closed, opened])).remarks == [
+        "1 of 2 meshes are open, and their fields close the openings"
+    ]
+    note = content(opened)._description([[0.0]])["note"]
+    assert note.endswith("; the mesh is open, and its field closes the openings")
+
+
+def test_the_first_view_of_a_scene_shows_it_large() -> None:
+    ball = fb.sphere()
+    near, far = fb.Camera((0, 0, 4), (0, 0, 0), fov_deg=40), fb.Camera((3, 20, 30), (0, 1, 0), fov_deg=40)
+    assert np.array_equal(content(fb.Scene([ball], cameras=[near])).camera.pose, near.pose)
+    fitted = content(fb.Scene([ball], cameras=[far])).camera
+    assert np.abs(fitted.pose[:3, :3] - far.pose[:3, :3]).max() <= 1e-12
+    assert fitted.fov_deg == far.fov_deg
+    frame = fb.raymarch(fb.Scene([ball]), fitted, size=SIZE, device="cpu")
+    rows = np.isfinite(frame.depth).any(axis=1).sum()
+    assert rows >= 0.5 * SIZE[1]
+    # The camera of an argument is kept.
+    assert np.array_equal(content_of(fb.Scene([ball]), far, "snorm8", SIZE).camera.pose, far.pose)
+    # A camera among the objects of a room stays where it is.
+    inside = fb.Camera((0, 0, 0), (0, 0, -1))
+    assert np.array_equal(content(fb.Scene([fb.box(9).shell(0.1)], cameras=[inside])).camera.pose, inside.pose)

@@ -125,7 +125,6 @@ window.run = async (contents, cameras, [x, y]) => {
 
   // A value of the slice interrupts the smooth picture, which is drawn again.
   first.settings.slice = { axis: 2, at: 0, cut: false };
-  first.isSmooth = true;
   const redraw = first.redraw.bind(first);
   let value = null;
   first.redraw = (kind) => {

@@ -220,7 +220,6 @@ export class Controls {
   private change(act: () => void, isMoving = false): void {
     act();
     this.refresh();
-    this.view.isSmooth = true;
     this.view.redraw(isMoving ? "moving" : "still");
     this.onInput();
   }

@@ -141,8 +141,6 @@ export class View {
   /** Whether the canvas has the picture at full size of the present camera and settings. */
   isComplete = false;
   isClosed = false;
-  /** Whether exact pictures are followed by smooth ones. The first picture has one sample for each pixel, as raymarch has. */
-  isSmooth = false;
 
   constructor(
     readonly canvas: HTMLCanvasElement,
@@ -336,10 +334,11 @@ export class View {
     return this.resources;
   }
 
-  /** Release the context, or wait while a picture is being drawn. The canvas keeps the picture. */
+  /** Release the context, or wait while a picture is being drawn. The canvas keeps the picture, which is not smoothed then. */
   rest(): void {
     if (this.isBusy) return this.wait();
     clearTimeout(this.idle);
+    if (this.isComplete) clearTimeout(this.later);
     this.resources?.free();
     this.resources = null;
     if (![...users].some((view) => view.resources)) releaseShared();
@@ -419,7 +418,7 @@ export class View {
       this.times.first ||= performance.now();
       this.isComplete = true;
       this.losses = 0;
-      if (this.isSmooth && this.picture === Picture.color && this.times.still < SMOOTH_MS) this.redrawLater("smooth", SMOOTH_PAUSE_MS);
+      if (this.picture === Picture.color && this.times.still < SMOOTH_MS) this.redrawLater("smooth", SMOOTH_PAUSE_MS);
     });
   }
 

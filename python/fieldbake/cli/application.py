@@ -6,6 +6,7 @@ Exit codes: 0 for success, 1 for an error in the input (one line on stderr), 2 f
 from __future__ import annotations
 
 import importlib
+import logging
 import warnings
 from collections.abc import Callable
 from typing import Annotated, Any, TypeVar
@@ -17,6 +18,8 @@ from rich.table import Table
 from typer.core import TyperCommand, TyperGroup
 
 import fieldbake as fb
+
+from ..base.errors import MaterialWarning
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -53,7 +56,10 @@ COMMANDS = {
         "Report whether meshes are closed, oriented and free of self-intersections, and how thin they are.",
     ),
     "query": ("queries", "Write signed distance, gradient, closest point, face and weights of every point."),
-    "sample": ("libraries", "Write training samples of many meshes: points, signed distances and gradients, float32."),
+    "sample": (
+        "libraries",
+        "Write training samples of many meshes: points, and the signed distances and gradients there.",
+    ),
     "pack": ("commands", "Pack baked fields and meshes into a texture atlas."),
     "render": (
         "pictures",
@@ -61,7 +67,7 @@ COMMANDS = {
     ),
     "view": ("view", "Write a live view of each file as one HTML page, and open it."),
     "csg": ("pictures", "Draw, bake or mesh a shape from its s-expression. The z axis points upwards in pictures."),
-    "merge": ("commands", "Merge all instances of a scene into one field that never exceeds the distance to them."),
+    "merge": ("commands", "Merge all instances of a scene into one field whose samples never exceed the distance."),
     "mesh": ("solids", "Write the surface of a field, a shape or a mesh as a closed mesh."),
     "solid": ("solids", "Write a closed two-manifold mesh made from any triangles."),
     "boolean": ("solids", "Combine two meshes: fieldbake boolean a.stl - b.stl -o c.stl."),
@@ -76,6 +82,9 @@ COMMANDS = {
         "Print versions, devices and packages, and test what works here. Exit status 1 means that a test failed.",
     ),
 }
+
+#: Commands that show or keep materials. The others need the positions of a mesh only.
+WITH_MATERIALS = ("convert", "demo", "render", "view")
 
 #: Options of every command, which may come before or after its name.
 COMMON = ("-q", "--quiet", "--no-clobber")
@@ -164,6 +173,7 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def root(
+    context: typer.Context,
     version: Annotated[  # noqa: ARG001 - its callback has done the work
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = False,
@@ -175,7 +185,12 @@ def root(
     ] = False,
 ) -> None:
     """Options of every command."""
+    if context.invoked_subcommand not in WITH_MATERIALS:
+        warnings.simplefilter("ignore", MaterialWarning)
     out.quiet = err.silent = quiet
+    if logging.lastResort is not None:
+        # Messages of libraries such as trimesh have no other handler.
+        logging.lastResort.setLevel(logging.ERROR if quiet else logging.WARNING)
     Clobber.allowed = not no_clobber
 
 
@@ -195,8 +210,15 @@ def show_rows(title: str, rows: list[tuple[str, str]]) -> None:
     out.print(table)
 
 
+def show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    """Print a warning as one line, without the line of the source; nothing in quiet runs."""
+    if not err.silent:
+        err.print(f"[yellow]warning:[/] {escape(str(message))}", soft_wrap=True)
+
+
 def main() -> None:
     """Run the command line."""
-    # The tables that commands print have the warnings as rows.
+    # The tables and summaries that commands print have the warnings about surfaces.
     warnings.simplefilter("ignore", fb.SurfaceWarning)
+    warnings.showwarning = show_warning
     app(prog_name="fieldbake")

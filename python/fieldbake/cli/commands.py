@@ -13,6 +13,7 @@ import fieldbake as fb
 from ..atlases.atlas import Language, as_written
 from ..files.container import ENDINGS
 from ..queries.common import Sign
+from ..scaling.many import distinct_stems
 from ..volumes import writers
 from .application import app, err, show_rows
 from .folders import bake_folder
@@ -220,7 +221,7 @@ def merge(
     resolution: Resolution = "128",
     device: Device = "auto",
 ) -> None:
-    """Merge all instances of a scene into one field that never exceeds the distance to them."""
+    """Merge all instances of a scene into one field whose samples never exceed the distance."""
     check_output(output, ENDINGS["volume"])
     is_scene = scene.suffix.lower() in (".gltf", ".glb")
     things = fb.load_scene(scene) if is_scene else [fb.load_mesh(scene)]
@@ -285,6 +286,7 @@ def pack(
         encoding=encoding,
         band=band,
         progress=err.is_terminal,
+        names=[stem for stem, _ in distinct_stems([(file.stem, file) for file in files])],
     )
     ending = output.suffix.lower()
     atlas = as_written(atlas, ending)

@@ -12,6 +12,7 @@ import fieldbake as fb
 
 from ..atlases import images
 from ..atlases.atlas import as_written
+from ..files import sidecar
 from ..files.container import ENDINGS
 from ..volumes import writers
 from .application import app, show_rows
@@ -40,7 +41,8 @@ def info(
     kind: Annotated[str | None, typer.Option("--from", help="Format of the file if FILE is -, such as npz.")] = None,
 ) -> None:
     """Describe the contents of files."""
-    for path in files:
+    # A glob such as a.* also names the files that a save wrote beside a field.
+    for path in dict.fromkeys(map(_field_of, files)):
         with input_file(path, kind) as file:
             found = _load(file)
             if as_json:
@@ -65,6 +67,8 @@ def convert(
     kind: Annotated[str, typer.Option("--to", help="Format of the output if it is -, such as vdb.")] = "npz",
 ) -> None:
     """Write a field, an atlas or a mesh in another format; a field becomes a mesh as its zero surface."""
+    if output.suffix.lower() == ".html":
+        raise fb.FormatError(f"{output}: is a live view; `fieldbake view {file} -o {output}` writes it")
     check_output(output, (*FIELDS, *MESHES), "OUTPUT")
     ending = f".{kind.lstrip('.')}" if is_stream(output) else output.suffix.lower()
     if ending not in (*FIELDS, *MESHES):
@@ -73,6 +77,11 @@ def convert(
         check_encoding(ending, encoding)
     with input_file(file, source) as path, output_file(output, ending) as target:
         found = _load(path)
+        if ending == ".png" and not isinstance(found, fb.Atlas):
+            raise fb.FormatError(
+                f"{file}: holds a {type(found).__name__}, and only an atlas is written as .png; "
+                f"`fieldbake render {file} -o {output}` draws a picture"
+            )
         if isinstance(found, fb.Mesh):
             if ending not in MESHES:
                 raise fb.FormatError(f"{file}: is a mesh and not a fieldbake file; `fieldbake bake` computes its field")
@@ -93,6 +102,16 @@ def convert(
     if not is_stream(output):
         written = as_written(found, ending) if isinstance(found, fb.Atlas) else found
         show_rows(str(output), rows_of(written, ending))
+
+
+def _field_of(path: Path) -> Path:
+    """Return the field or atlas beside which a save wrote this file, or else the path itself."""
+    owner = path
+    if path.suffix in (".json", ".meta", ".import"):
+        owner = path.with_suffix("")
+    elif path.name.endswith(".preview.png"):
+        owner = path.with_name(path.name.removesuffix(".preview.png") + ".png")
+    return owner if owner.suffix.lower() in sidecar.ENDINGS and sidecar.beside(owner).is_file() else path
 
 
 def _load(path: Path) -> Any:

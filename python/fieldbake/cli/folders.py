@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import typer
-from rich.console import Console
 from rich.markup import escape
 
 import fieldbake as fb
 
-out = Console(highlight=False)
-err = Console(stderr=True, highlight=False)
+from ..base.notices import about_surface
+from ..scaling import ledger
+from .application import err, out
 
 
 def bake_folder(
@@ -33,12 +33,24 @@ def bake_folder(
 
 
 def finish(rows: Sequence[Mapping[str, Any]], folder: Path) -> None:
-    """Print the number of results by status and the items that failed; exit with status 1 if an item failed."""
+    """Print the number of results by status, of those in doubt, and the failed items; exit with status 1 for these."""
     counts = Counter(row["status"] for row in rows)
     text = ", ".join(f"{counts[status]} {status}" for status in ("done", "skipped", "failed") if counts[status])
     out.print(f"[bold]{escape(str(folder))}[/]  {text or 'nothing to do'}", soft_wrap=True)
+    doubtful = sum(is_doubtful(row["report"]) for row in rows if row["report"] is not None)
+    if doubtful:
+        where = escape(str(folder / ledger.NAME))
+        text = f"{doubtful} of {len(rows)} results have warnings or uncertain signs; {where} has their reports"
+        out.print(f"[yellow]warning:[/] {text}", soft_wrap=True)
     for row in rows:
         if row["status"] == "failed":
             err.print(f"[bold red]failed:[/] {escape(str(row['item']))}: {escape(str(row['error']))}", soft_wrap=True)
     if counts["failed"]:
         raise typer.Exit(1)
+
+
+def is_doubtful(report: Mapping[str, Any]) -> bool:
+    """Whether a report has a warning about the surface, or signs that are uncertain."""
+    if report["sign_method"] == "unsigned":
+        return False
+    return bool(about_surface(report["warnings"]) or report["undecided_voxels"])

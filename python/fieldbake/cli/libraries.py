@@ -7,6 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
+from ..meshes.normalization import Target
+from ..queries.sampling import SampleType
 from ..scaling.many import sample_many
 from .application import app, err
 from .folders import finish
@@ -29,6 +31,19 @@ def sample(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the random numbers.")] = 0,
+    normalize: Annotated[
+        Target | None,
+        typer.Option(
+            help="Move and scale each mesh to a unit cube or a unit sphere about the origin first. The results store "
+            "the transform."
+        ),
+    ] = None,
+    dtype: Annotated[
+        SampleType,
+        typer.Option(
+            help="Type of the points. float32 rounds them first and evaluates the distances at the rounded points."
+        ),
+    ] = "float64",
     jobs: Annotated[
         int | None, typer.Option(help="Number of meshes sampled at the same time. The default is one per core.")
     ] = None,
@@ -37,8 +52,8 @@ def sample(
         bool, typer.Option("--fresh", help="Sample all meshes again, even if their results are up to date.")
     ] = False,
 ) -> None:
-    """Write training samples of many meshes: points, signed distances and gradients, float32."""
-    options: dict[str, Any] = {"n": count, "uniform": uniform, "seed": seed}
+    """Write training samples of many meshes: points, and the signed distances and gradients there."""
+    options: dict[str, Any] = {"n": count, "uniform": uniform, "seed": seed, "dtype": dtype, "normalize": normalize}
     if near:
         options["near"] = near
     bar = err.is_terminal

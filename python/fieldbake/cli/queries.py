@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
@@ -16,8 +16,9 @@ import fieldbake as fb
 from ..files.container import atomic_write
 from ..queries.common import Sign
 from ..surfaces.report import thinnest_part
-from .application import app, show_rows
+from .application import app, show_rows, show_warning
 from .commands import Device
+from .streams import check_output, input_file, is_stream, output_file
 
 #: Names of the columns of a result.
 COLUMNS = (
@@ -32,28 +33,47 @@ COLUMNS = (
 @app.command()
 def query(
     mesh: Annotated[Path, typer.Argument(help="A mesh file.")],
-    points: Annotated[Path, typer.Argument(help="Points: .npy (n, 3), .csv, .xyz or .ply.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The .npy or .csv file to write.")],
+    points: Annotated[Path, typer.Argument(help="Points: .npy (n, 3), .csv, .xyz or .ply; - is standard input.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The .npy or .csv file to write; - is standard output.")
+    ],
     sign: Annotated[Sign, typer.Option(help="Method that decides between inside and outside.")] = "auto",
+    source: Annotated[
+        str | None, typer.Option("--from", help="Format of the points if they are -, such as csv.")
+    ] = None,
+    kind: Annotated[Literal["csv", "npy"], typer.Option("--to", help="Format of the output if it is -.")] = "csv",
     device: Device = "auto",
 ) -> None:
     """Write signed distance, gradient, closest point, face and weights of every point."""
-    kind = output.suffix.lower()
-    if kind not in (".npy", ".csv"):
-        raise typer.BadParameter(f"'{output}' must end in .npy or .csv", param_hint="--output")
-    if not output.absolute().parent.is_dir():
-        raise typer.BadParameter(f"the folder of '{output}' does not exist", param_hint="--output")
-    found = fb.query(mesh, read_points(points), sign=sign, device=device)
+    ending = f".{kind}" if is_stream(output) else output.suffix.lower()
+    if not (is_stream(output) and kind == "csv"):  # a terminal shows text
+        check_output(output, (".npy", ".csv"))
+    with input_file(points, source, kind_of_points) as file:
+        positions = read_points(file)
+    found = fb.query(mesh, positions, sign=sign, device=device)
     table = np.column_stack(
         [found.distances, found.gradients, found.points, found.faces.astype(np.float64), found.barycentric]
     )
-    with atomic_write(output) as stream:
-        if kind == ".npy":
+    with output_file(output, ending) as target, atomic_write(target) as stream:
+        if ending == ".npy":
             np.save(stream, table)
         else:
             whole = ["%d" if name == "face" else "%.17g" for name in COLUMNS]
             np.savetxt(stream, table, fmt=whole, delimiter=",", header=",".join(COLUMNS), comments="")
-    show_rows(str(output), [("columns", ", ".join(COLUMNS)), *found.report.rows()])
+    if is_stream(output):
+        for warning in found.report.warnings:
+            show_warning(warning)
+    else:
+        show_rows(str(output), [("columns", ", ".join(COLUMNS)), *found.report.rows()])
+
+
+def kind_of_points(first: bytes) -> str:
+    """Return the ending of the format of points with these first bytes."""
+    if first.startswith(b"\x93NUMPY"):
+        return ".npy"
+    if first.startswith(b"ply"):
+        return ".ply"
+    return ".csv" if b"," in first else ".xyz"
 
 
 def read_points(path: Path) -> NDArray[np.float64]:

@@ -33,6 +33,10 @@ def mesh(
     level: Annotated[
         float, typer.Option(help="Value of the field on the surface, world units; for fields and shapes.")
     ] = 0.0,
+    inside: Annotated[
+        Literal["below", "above"],
+        typer.Option(help="Side of --level that is solid: below for distances, above for intensities such as CT."),
+    ] = "below",
     offset: Annotated[
         float | None, typer.Option(help="Grow a mesh by this distance, world units; a negative one shrinks it.")
     ] = None,
@@ -59,6 +63,8 @@ def mesh(
         raise typer.BadParameter("give either --offset or --shell", param_hint="--shell")
     ending = file.suffix.lower()
     is_field = ending in ENDINGS["volume"]
+    if inside == "above" and not is_field:
+        raise typer.BadParameter("is for fields, not for shapes and meshes", param_hint="--inside")
     if is_field or ending in (".csg", ".sexpr"):
         if offset is not None or shell is not None:
             raise typer.BadParameter("is for meshes; use --level for fields and shapes", param_hint="--offset, --shell")
@@ -68,7 +74,7 @@ def mesh(
             field = fb.load(file)
             if not hasattr(field, "to_mesh"):
                 raise fb.FormatError(f"{file}: holds a {type(field).__name__}, which has no surface")
-            made = field.to_mesh(level)
+            made = field.to_mesh(level, inside=inside)
         else:
             shape = fb.csg.parse(file.read_text(encoding="utf-8"))
             made = (shape.offset(level) if level else shape).to_mesh(resolution)
@@ -136,4 +142,5 @@ def _finish(made: fb.Mesh, output: Path, measure: bool) -> None:
         if measure:
             rows.append(("to source", f"{report.distance_to_source:.4g}; a voxel is {report.voxel_size:.4g}"))
             rows.append(("from source", f"{report.distance_from_source:.4g}"))
+    rows += [("warning", warning) for warning in getattr(report, "warnings", ())]
     show_rows(str(output), rows)

@@ -10,7 +10,7 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -75,8 +75,11 @@ def check_clobber(output: Path) -> None:
 
 
 @contextmanager
-def input_file(path: Path, kind: str | None) -> Iterator[Path]:
-    """Yield a file to read: `path`, or a copy of standard input if the path is that of a stream."""
+def input_file(path: Path, kind: str | None, recognise: Callable[[bytes], str | None] | None = None) -> Iterator[Path]:
+    """Yield a file to read: `path`, or a copy of standard input if the path is that of a stream.
+
+    `recognise` returns the ending of the format that the first bytes imply, by default one of a mesh or a field.
+    """
     if not is_stream(path):
         yield path
         return
@@ -87,7 +90,7 @@ def input_file(path: Path, kind: str | None) -> Iterator[Path]:
         if raw.stat().st_size == 0:
             raise fb.FormatError("-: standard input is empty, or has been read before")
         with raw.open("rb") as stream:
-            ending = f".{kind.lstrip('.')}" if kind else _kind(stream.read(_HEAD))
+            ending = f".{kind.lstrip('.')}" if kind else (recognise or _kind)(stream.read(_HEAD))
         if ending is None:
             raise fb.FormatError("-: the first bytes of the input show no known format; name the format with --from")
         named = raw.with_name(f"standard input{ending}")

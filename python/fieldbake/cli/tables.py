@@ -54,7 +54,8 @@ def atlas_rows(atlas: fb.Atlas, ending: str) -> list[tuple[str, str]]:
         entry = atlas.entries[i]
         shape = " x ".join(map(str, atlas.resolution(i)))
         place = f"page {entry['atlas_index']}, offset {entry['atlas_offset']}"
-        rows.append((f"volume {i}", f"{shape} voxels, {place}"))
+        name = f"{atlas.names[i]}: " if atlas.names[i] else ""
+        rows.append((f"volume {i}", f"{name}{shape} voxels, {place}"))
     return rows
 
 
@@ -93,6 +94,7 @@ def facts_of(found: Any) -> dict[str, Any]:
     if isinstance(found, fb.Atlas):
         facts |= {"pages": len(found.pages), "page_size": found.page_size, "layout": found.layout}
         facts |= {"encoding": found.encoding, "gutter": found.gutter, "nbytes": found.nbytes, "fill": float(found.fill)}
+        facts["names"] = [found.names[i] for i in found.indices]
         return facts | {"volumes": [list(found.resolution(i)) for i in found.indices]}
     facts |= {
         "resolution": list(found.resolution),

@@ -28,7 +28,11 @@ def view(
     encoding: Annotated[str, typer.Option(help="Samples on the page: snorm8, float16 or float32.")] = "snorm8",
     size: Annotated[str, typer.Option(help="Width and height of the canvas, CSS pixels.")] = "960x720",
 ) -> None:
-    """Write a live view of each file as one HTML page, and open it."""
+    """Write a live view of each file as one HTML page, and open it.
+
+    Views draw distance fields: meshes have the colours of their materials, and no textures and no opacity. The command
+    render draws both.
+    """
     if encoding not in ENCODINGS:
         raise typer.BadParameter(f"'{encoding}' must be one of {', '.join(ENCODINGS)}", param_hint="--encoding")
     try:

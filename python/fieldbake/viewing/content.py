@@ -99,6 +99,8 @@ class Content:
     background: Sequence[float] = BACKGROUND
     #: Ambient light comes from above more than from below, as in pictures of one field.
     hemisphere: bool = True
+    #: Differences between the picture and the object, for the line below the picture.
+    remarks: list[str] = field(default_factory=list)
     #: Pictures of the pages of an atlas.
     pages: list[dict[str, Any]] = field(default_factory=list)
     #: Content that raymarch draws for the picture that replaces the view.
@@ -184,7 +186,7 @@ class Content:
             "most_steps": MOST_STEPS,
             "error": error,
             "pages": self.pages,
-            "note": f"{_size_text(upper - lower)} world units; iso-lines every {spacing:g}",
+            "note": "; ".join([f"{_size_text(upper - lower)} world units; iso-lines every {spacing:g}", *self.remarks]),
         }
 
 
@@ -203,7 +205,8 @@ def content_of(thing: Any, camera: Camera | None, encoding: str, size: tuple[int
         volume = bake(thing, PICTURE_RESOLUTION)
         content = content_of(volume, camera, encoding, size)
         records.add_mesh(content.placed[0].record, thing)
-        content.title = f"Mesh, {len(thing.faces):,} faces, drawn by its field of {_shape_text(volume.resolution)}"
+        content.title = f"Mesh, {len(thing.faces):,} faces, {_drawn_by(volume)}"
+        content.remarks = _remarks([thing])
         return content
     if isinstance(thing, ZarrVolume):
         return content_of(thing.picture_field(most=PAGE_BYTES), camera, encoding, size)
@@ -214,7 +217,7 @@ def content_of(thing: Any, camera: Camera | None, encoding: str, size: tuple[int
         content.title = f"Atlas of {len(content.placed)} volumes"
         content.pages = pages_of(thing)
         for placed, index in zip(content.placed, thing.indices, strict=True):
-            placed.name = f"volume {index}"
+            placed.name = thing.names[index] or f"volume {index}"
         return content
     if isinstance(thing, Quadric):
         content = _of_scene(Scene([thing]), camera, encoding, size)
@@ -223,12 +226,13 @@ def content_of(thing: Any, camera: Camera | None, encoding: str, size: tuple[int
     functions = _functions([thing])
     if isinstance(thing, Shape):
         drawn: Any = thing
+        bounds, title = thing.bounds, "Shape"
         if functions[0] is None:
             drawn = bake(thing, SHAPE_RESOLUTION)
             record = records.of_volume(drawn, encoding)
+            title = f"Shape, {thing._core.leaf_count:,} leaves, {_drawn_by(drawn)}"
         else:
             record = records.of_shape(thing, functions[0], records.SHAPE_BIAS)
-        bounds, title = thing.bounds, "Shape"
     elif isinstance(thing, SparseVolume):
         record, bounds, drawn = records.of_sparse(thing, encoding), thing.inner_bounds, thing
         title = (
@@ -265,7 +269,14 @@ def _of_scene(scene: Scene, camera: Camera | None, encoding: str, size: tuple[in
                 if isinstance(instance.thing, Mesh):
                     records.add_mesh(known[id(thing)], instance.thing)
             placed.append(_placed(instance, number, thing, known[id(thing)]))
+            if isinstance(thing, Shape) and function is None:
+                placed[-1].name = f"Shape, drawn by its field of {SHAPE_RESOLUTION} voxels along the longest side"
     own = next((camera for camera in scene.cameras if camera.height is None), None)
+    if own is not None and _is_far(own, scene.bounds, size[0] / size[1]):
+        pose = own.pose
+        own = Camera.fit(
+            scene.bounds, direction=-pose[:3, 2], up=pose[:3, 1], fov_deg=own.fov_deg, aspect=size[0] / size[1]
+        )
     if camera is None and scene.cameras and own is None:
         warn("cameras: all are orthographic, and a view needs a perspective one; it fits the scene", UserWarning)
     if not isinstance(scene.ambient, float):
@@ -282,8 +293,35 @@ def _of_scene(scene: Scene, camera: Camera | None, encoding: str, size: tuple[in
         ambient=mean_of(scene.ambient),
         background=scene._background,
         hemisphere=False,
+        remarks=_remarks([instance.thing for instance in scene.instances if isinstance(instance.thing, Mesh)]),
         drawn=scene,
     )
+
+
+def _is_far(camera: Camera, bounds: NDArray[np.float64], aspect: float) -> bool:
+    """Whether a box ahead of a camera covers less than half of the width and of the height of the picture."""
+    corners = np.stack(np.meshgrid(*bounds.T, indexing="ij"), axis=-1).reshape(-1, 3)
+    local = (corners - camera.pose[:3, 3]) @ camera.pose[:3, :3]
+    depth = -local[:, 2]
+    if not depth.min() > 0:
+        return False
+    half = math.tan(math.radians(camera.fov_deg) / 2)
+    covered = np.ptp(local[:, :2] / depth[:, None], axis=0) / (2 * half * np.array([aspect, 1.0]))
+    return bool((covered < 0.5).all())
+
+
+def _remarks(meshes: Sequence[Mesh]) -> list[str]:
+    """Differences between the pictures of meshes and the meshes: textures, and openings."""
+    remarks = []
+    unique = list({id(mesh): mesh for mesh in meshes}.values())
+    if any(part._image is not None for mesh in unique for part in mesh.parts):
+        remarks.append("textures are not drawn")
+    is_open = [mesh for mesh in unique if not mesh.is_closed]
+    if len(unique) == 1 and is_open:
+        remarks.append("the mesh is open, and its field closes the openings")
+    elif is_open:
+        remarks.append(f"{len(is_open)} of {len(unique)} meshes are open, and their fields close the openings")
+    return remarks
 
 
 def _field_of(instance: Instance) -> list[Any]:
@@ -393,6 +431,10 @@ def nice_step(value: float) -> float:
         return 1.0
     power = 10.0 ** math.floor(math.log10(value))
     return power * max(step for step in (1, 2, 5) if step * power <= value * (1 + 1e-9))
+
+
+def _drawn_by(volume: Volume) -> str:
+    return f"drawn by its field of {_shape_text(volume.resolution)}"
 
 
 def _shape_text(shape: Sequence[int]) -> str:
