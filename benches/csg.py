@@ -45,7 +45,7 @@ def scattered(count: int) -> fb.Shape:
     for kind, axis, degrees, place in scattered_leaves(count):
         leaf = makers[kind]().rotate(axis, degrees).translate(place)
         (removed if kind == "cylinder" else added).append(leaf)
-    return fb.csg.union(*added) - fb.csg.union(*removed) if removed else fb.csg.union(*added)
+    return fb.Shape.union(*added) - fb.Shape.union(*removed) if removed else fb.Shape.union(*added)
 
 
 def fresh(shape: fb.Shape) -> fb.Shape:

@@ -53,13 +53,13 @@ def sources(folder: Path) -> list[tuple[Path, Path, bytes]]:
     aside = np.eye(4)
     aside[0, 3] = 5
     nested = fb.merge([volume, (volume, aside)], 8, levels=2, center=(0, 0, 0))
-    things: list[tuple[Any, str, dict[str, object]]] = [(volume, *one) for one in wanted]
-    things += [(one, ".npz", {}) for one in (volume.to_sparse(), volume.quantize("snorm8"), nested, atlas)]
-    things += [(atlas, ".exr", {}), (atlas, ".png", {})]
+    stored: list[tuple[Any, str, dict[str, object]]] = [(volume, *one) for one in wanted]
+    stored += [(one, ".npz", {}) for one in (volume.to_sparse(), volume.quantize("snorm8"), nested, atlas)]
+    stored += [(atlas, ".exr", {}), (atlas, ".png", {})]
     found = []
-    for number, (thing, ending, options) in enumerate(things):
+    for number, (one, ending, options) in enumerate(stored):
         path = folder / f"{number}{ending}"
-        thing.save(path, **options)
+        one.save(path, **options)
         beside = path.with_name(f"{path.name}.json")
         if beside.exists():
             # Without the checksum the damage reaches the readers.

@@ -85,7 +85,9 @@ def embree_rays(scene: fb.Scene, frame: fb.Frame, camera: fb.Camera, cut: int, r
     soup = []
     for instance in scene.instances:
         matrix = np.asarray(instance.transform)
-        corners = instance.thing.vertices[instance.thing.faces].astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        corners = (
+            instance.geometry.vertices[instance.geometry.faces].astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        )
         for _ in range(cut):
             a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
             ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2

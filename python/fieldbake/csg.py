@@ -1,4 +1,4 @@
-"""Constructive solid geometry: the operators as functions, the language, and decomposition.
+"""Constructive solid geometry: the language, and decomposition.
 
 >>> import fieldbake as fb
 >>> model = fb.csg.parse("(union (cube 3) (diff (cube 4) (move -2 -2 2 (sphere 5))))")
@@ -22,8 +22,9 @@ from numpy.typing import ArrayLike, NDArray
 from . import _core
 from .base import checks
 from .base.errors import ShapeError
+from .base.former_names import refusal
 from .shapes.shader_function import FUNCTION
-from .shapes.shape import Language, Shape, checked_shape, combine
+from .shapes.shape import Language, Shape, checked_shape
 
 Method = Literal["octree", "aabb"]
 
@@ -34,7 +35,19 @@ OPENSCAD = re.compile(
     re.DOTALL,
 )
 
-__all__ = ["Part", "PartGroup", "Parts", "decompose", "difference", "intersection", "parse", "union", "xor"]
+__all__ = ["Part", "PartGroup", "Parts", "decompose", "parse"]
+
+#: Former functions, and the methods with their work.
+FORMER_NAMES = {
+    "union": "the operator | or Shape.union(*others, k=)",
+    "intersection": "the operator & or Shape.intersection(*others, k=)",
+    "difference": "the operator - or Shape.difference(*others, k=)",
+    "xor": "the operator ^ or Shape.xor(*others, k=)",
+}
+
+
+def __getattr__(name: str) -> Any:
+    raise refusal(name, __name__, FORMER_NAMES)
 
 
 def __dir__() -> list[str]:
@@ -230,54 +243,6 @@ def _restored_part(shape: Shape, boxes: NDArray[np.float64]) -> Part:
 def _restored_parts(parts: list[Part], structures: int) -> Parts:
     """Restore the list that `Parts.__reduce__` pickled."""
     return Parts(parts, structures=lambda: structures)
-
-
-def union(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """Unite shapes or lists of shapes; joints are smooth over `k` or chamfered by `chamfer`, world units.
-
-    Examples
-    --------
-    >>> import fieldbake as fb
-    >>> fb.csg.union(fb.sphere(), fb.box(2.0), k=0.2).distance([(3, 0, 0)])
-    array([1.95], dtype=float32)
-    """
-    return combine("union", shapes, k=k, chamfer=chamfer)
-
-
-def intersection(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """Intersect shapes or lists of shapes; joints are smooth over `k` or chamfered by `chamfer`, world units.
-
-    Examples
-    --------
-    >>> import fieldbake as fb
-    >>> fb.csg.intersection(fb.sphere(1.2), fb.box(2.0)).distance([(2, 0, 0)]).tolist()
-    [1.0]
-    """
-    return combine("intersection", shapes, k=k, chamfer=chamfer)
-
-
-def difference(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """Subtract the other shapes from the first; joints are smooth over `k` or chamfered by `chamfer`, world units.
-
-    Examples
-    --------
-    >>> import fieldbake as fb
-    >>> fb.csg.difference(fb.box(2.0), fb.sphere(0.5)).distance([(0, 0, 0)]).tolist()
-    [0.5]
-    """
-    return combine("difference", shapes, k=k, chamfer=chamfer)
-
-
-def xor(*shapes: Shape | Iterable[Shape], k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """Take the symmetric difference from left to right; joints are smooth over `k` or chamfered, world units.
-
-    Examples
-    --------
-    >>> import fieldbake as fb
-    >>> fb.csg.xor(fb.box(2.0), fb.sphere(0.5)).distance([(0, 0, 0)]).tolist()
-    [0.5]
-    """
-    return combine("xor", shapes, k=k, chamfer=chamfer)
 
 
 def parse(text: str) -> Shape:

@@ -47,7 +47,7 @@ def test_strips_hold_equal_cubes_only(shape):
 @pytest.mark.parametrize(
     "volumes", [None, 3, noise((2, 2, 2)), [None], [np.zeros((4, 4, 4))], [(noise((2, 2, 2)), np.zeros((4, 4)))]]
 )
-def test_things_that_are_not_volumes(volumes):
+def test_objects_that_are_not_volumes(volumes):
     with pytest.raises(fb.ArgumentError, match="volumes"):
         fb.pack(volumes)
 

@@ -133,7 +133,7 @@ def test_a_volume_of_an_array_or_a_shape_bakes_a_mesh():
 def test_mistakes_are_named():
     volume = fb.bake(meshes.box(), 8)
     with pytest.raises(FileNotFoundError):
-        volume.update("no such thing")
+        volume.update("no such mesh")
     with pytest.raises(fb.MeshError):
         volume.update(None)
     vertices, faces = meshes.box()

@@ -79,7 +79,7 @@ def test_closed_forms_are_the_roots_on_the_device(gpu):
     """All kinds in one picture."""
     places = [(3.0 * (i % 4), 3.0 * (i // 4), 0) for i in range(len(PLAIN))]
     row = [shape.rotate((1, 2, 3), 40).translate(at) for shape, at in zip(PLAIN.values(), places, strict=True)]
-    whole, plain = pictures(fb.csg.union(*row) - fb.box((20, 0.6, 0.6)), (64, 64), device=gpu)
+    whole, plain = pictures(fb.Shape.union(*row) - fb.box((20, 0.6, 0.6)), (64, 64), device=gpu)
 
     assert differing(whole, plain) <= 4
     assert plain.report["structures"] == 0
@@ -106,7 +106,7 @@ def test_the_camera_may_be_anywhere(method, device):
 
 def test_boxes_that_share_faces_leave_no_gap(device):
     """Rays in the plane between two cells, and along the edge between four, hit what is there."""
-    shape = fb.csg.union(*(fb.sphere(0.4).translate((x, y, 0)) for x in (-1, 0, 1) for y in (-1, 0, 1)))
+    shape = fb.Shape.union(*(fb.sphere(0.4).translate((x, y, 0)) for x in (-1, 0, 1) for y in (-1, 0, 1)))
     middle = shape.bounds.mean(axis=0)
     assert (middle == 0).all()
     frame = fb.raymarch(shape, fb.Camera((0, 0, 5), (0, 0, 0)), size=(1, 1), method="octree", device=device)
@@ -138,7 +138,7 @@ def blend(radius, tube):
 
 def row(radius):
     """A row of balls, which may overlap, minus a bar."""
-    return fb.csg.union(*(fb.sphere(radius).translate((0.5 * i - 2, 0, 0)) for i in range(9))) - fb.box((9, 0.1, 0.1))
+    return fb.Shape.union(*(fb.sphere(radius).translate((0.5 * i - 2, 0, 0)) for i in range(9))) - fb.box((9, 0.1, 0.1))
 
 
 def draw_until_compiled(shape, device, camera=None, size=(24, 24)):
@@ -198,11 +198,11 @@ def check_edits(gpu):
     "joined",
     [
         # Closed forms alone, and under an operator whose sides depend on the place.
-        lambda row: fb.csg.union(*row) ^ fb.box((12, 0.6, 0.6)),
+        lambda row: fb.Shape.union(*row) ^ fb.box((12, 0.6, 0.6)),
         # Beside a part that is marched by a function of its own.
-        lambda row: fb.csg.union(*row[:6]) | blend(0.8, 0.3).translate((0, -3, 0)),
+        lambda row: fb.Shape.union(*row[:6]) | blend(0.8, 0.3).translate((0, -3, 0)),
         # Beside one that is interpreted.
-        lambda row: fb.csg.union(*row[:2]) | fb.volume_shape(fb.bake(fb.models.torus_knot(), resolution=16)),
+        lambda row: fb.Shape.union(*row[:2]) | fb.volume_shape(fb.bake(fb.models.torus_knot(), resolution=16)),
     ],
     ids=["closed", "marched", "interpreted"],
 )

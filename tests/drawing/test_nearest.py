@@ -139,7 +139,7 @@ def test_stored_forms_are_drawn_like_their_samples(kind, device):
 
 
 @pytest.mark.parametrize(
-    ("thing", "options"),
+    ("geometry", "options"),
     [
         (fb.sphere(), {}),
         (fb.Quadric.sphere((0, 0, 0)), {}),
@@ -148,6 +148,6 @@ def test_stored_forms_are_drawn_like_their_samples(kind, device):
         (grid((3, 3, 3), 1, 0.5), {"filter": "cubic"}),
     ],
 )
-def test_what_has_no_voxels_or_other_shadows_is_refused(thing, options):
+def test_what_has_no_voxels_or_other_shadows_is_refused(geometry, options):
     with pytest.raises(fb.ArgumentError, match="filter"):
-        fb.raymarch(thing, size=(8, 8), **{"filter": "nearest", **options})
+        fb.raymarch(geometry, size=(8, 8), **{"filter": "nearest", **options})

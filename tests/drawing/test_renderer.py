@@ -56,7 +56,7 @@ def test_frames_are_the_pictures_of_render(scene, instances, options, device) ->
     transforms = np.stack([instance.transform for instance in instances])
     transforms[0] = moved(x=0.3, y=1.1, turn=1.0, scale=(1.2, 0.9, 1.0))
     transforms[2] = moved(x=1.1, z=0.8)
-    there = [fb.Instance(i.thing, t, resolution=24) for i, t in zip(instances, transforms, strict=True)]
+    there = [fb.Instance(i.geometry, t, resolution=24) for i, t in zip(instances, transforms, strict=True)]
     expected = fb.render(fb.Scene(there, scene.lights), CAMERA, **options)
     assert_equal(renderer.frame(CAMERA, transforms=transforms), expected)
     a_list = [transforms[0], None, transforms[2].tolist(), None]
@@ -66,8 +66,10 @@ def test_frames_are_the_pictures_of_render(scene, instances, options, device) ->
     glass = fb.Material(color=(0.2, 0.5, 0.9, 0.5))
     materials = [glass, None, fb.Material(color=(1, 0, 0)), glass]
     lights = [fb.PointLight((2, 4, 2), radius=0.2), fb.DirectionalLight((1, -1, 0), intensity=0.3)]
-    seen = [fb.Instance(i.thing, i.transform, m, resolution=24) for i, m in zip(instances, materials, strict=True)]
-    both = [fb.Instance(i.thing, t, m, resolution=24) for i, t, m in zip(instances, transforms, materials, strict=True)]
+    seen = [fb.Instance(i.geometry, i.transform, m, resolution=24) for i, m in zip(instances, materials, strict=True)]
+    both = [
+        fb.Instance(i.geometry, t, m, resolution=24) for i, t, m in zip(instances, transforms, materials, strict=True)
+    ]
     assert_equal(renderer.frame(CAMERA, lights, None, materials), fb.render(fb.Scene(seen, lights), CAMERA, **options))
     frame = renderer.frame(CAMERA, lights, transforms, materials)
     assert_equal(frame, fb.render(fb.Scene(both, lights), CAMERA, **options))
@@ -156,7 +158,7 @@ def test_defaults_are_those_of_the_scene(instances) -> None:
     assert_equal(renderer.frame(other), fb.render(plain, other, **options))
     # The default camera and the range of occlusion follow the bounds of the frame.
     transforms = [moved(y=3), None, None, None]
-    there = [fb.Instance(instances[0].thing, moved(y=3), resolution=24), *instances[1:]]
+    there = [fb.Instance(instances[0].geometry, moved(y=3), resolution=24), *instances[1:]]
     assert_equal(renderer.frame(transforms=transforms), fb.render(fb.Scene(there), **options))
     with_camera = fb.Scene(instances, cameras=[other])
     assert_equal(fb.Renderer(with_camera, size=SIZE, device="cpu").frame(), fb.render(plain, other, size=SIZE))

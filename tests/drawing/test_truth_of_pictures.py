@@ -71,8 +71,8 @@ def test_raymarch_draws_the_sphere(kind, volume, device):
 
 @pytest.mark.parametrize("kind", ["mesh", *INSTANCES])
 def test_render_draws_the_sphere(kind, mesh, volume, device):
-    thing = mesh if kind == "mesh" else INSTANCES[kind](volume)
-    frame = fb.render(fb.Scene([fb.Instance(thing)]), CAMERA, size=SIZE, shadows="none", device=device)
+    geometry = mesh if kind == "mesh" else INSTANCES[kind](volume)
+    frame = fb.render(fb.Scene([fb.Instance(geometry)]), CAMERA, size=SIZE, shadows="none", device=device)
     assert_is_the_sphere(frame, kind, float(volume.spacing.max()))
 
 

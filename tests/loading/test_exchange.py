@@ -337,7 +337,7 @@ def test_the_json_says_where_each_volume_lies(baked, tmp_path):
 
 
 def test_each_class_loads_its_own_files_and_no_others(volume, tmp_path):
-    things = {
+    stored = {
         "v.npz": (fb.Volume, volume),
         "v.dds": (fb.Volume, volume),
         "q.npz": (fb.QuantizedVolume, volume.quantize("snorm8")),
@@ -345,9 +345,9 @@ def test_each_class_loads_its_own_files_and_no_others(volume, tmp_path):
         "a.npz": (fb.Atlas, fb.pack([volume], page_size=64)),
         "a.exr": (fb.Atlas, fb.pack([volume], page_size=64)),
     }
-    for name, (kind, thing) in things.items():
+    for name, (kind, one) in stored.items():
         path = tmp_path / name
-        thing.save(path)
+        one.save(path)
         assert type(kind.load(path)) is kind
         for other in (fb.Volume, fb.SparseVolume, fb.Atlas):
             if not issubclass(kind, other):
@@ -367,32 +367,32 @@ def test_each_class_loads_its_own_files_and_no_others(volume, tmp_path):
 
 
 def test_endings_that_are_not_known(volume, tmp_path):
-    things = {
+    stored = {
         "a volume is written as .npz, .vdb, .nvdb, .vti, .nrrd, .dds, .ktx2, .vf or .exr, got the ending '.x'": volume,
         "a sparse volume is written as .npz, .vdb or .nvdb, got the ending '.exr'": volume.to_sparse(),
         "an atlas is written as .npz, .exr or .png, got the ending '.dds'": fb.pack([volume], page_size=64),
     }
-    for message, thing in things.items():
+    for message, one in stored.items():
         ending = message.split("'")[1]
         with pytest.raises(fb.FormatError, match=re.escape(message)):
-            thing.save(tmp_path / f"x{ending}")
+            one.save(tmp_path / f"x{ending}")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("kind", ["volume", "quantized", "sparse", "atlas"])
 def test_every_ending_that_a_message_names_is_written(volume, kind, tmp_path):
-    thing = {
+    one = {
         "volume": volume,
         "quantized": volume.quantize("snorm8"),
         "sparse": volume.to_sparse(),
         "atlas": fb.pack([volume], page_size=64),
     }[kind]
     with pytest.raises(fb.FormatError) as told:
-        thing.save(tmp_path / "x.unknown")
+        one.save(tmp_path / "x.unknown")
     endings = re.findall(r"\.\w+", str(told.value).partition("written as")[2].partition("got")[0])
     assert len(endings) >= 1
     for ending in endings:
-        thing.save(tmp_path / f"x{ending}")
+        one.save(tmp_path / f"x{ending}")
         fb.load(tmp_path / f"x{ending}")
 
 
@@ -411,8 +411,8 @@ def test_an_empty_atlas_has_no_image(tmp_path):
 
 
 def test_a_missing_json_is_named(volume, tmp_path):
-    for name, thing in (("v.dds", volume), ("a.exr", fb.pack([volume], page_size=64))):
-        thing.save(tmp_path / name)
+    for name, one in (("v.dds", volume), ("a.exr", fb.pack([volume], page_size=64))):
+        one.save(tmp_path / name)
         (tmp_path / f"{name}.json").unlink()
         with pytest.raises(fb.FormatError, match=rf"{name}\.json is missing"):
             fb.load(tmp_path / name)
@@ -461,8 +461,8 @@ def test_bad_facts_of_a_volume(baked, key, value, tmp_path):
 @given(data=st.data(), ending=st.sampled_from([".dds", ".ktx2", ".nrrd", ".exr", ".png"]))
 def test_a_damaged_file_is_a_format_error_or_other_texels(volume, tmp_path_factory, data, ending):
     path = tmp_path_factory.getbasetemp() / f"damaged{ending}"
-    thing = volume if ending in (".dds", ".ktx2", ".nrrd") else fb.pack([volume], page_size=32, encoding="snorm16")
-    thing.save(path)
+    one = volume if ending in (".dds", ".ktx2", ".nrrd") else fb.pack([volume], page_size=32, encoding="snorm16")
+    one.save(path)
     drop_checksum(path)
     path.write_bytes(damaged(data, path.read_bytes()))
 

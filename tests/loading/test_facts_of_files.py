@@ -38,7 +38,7 @@ class Killed(BaseException):
     """The end of the process in a test."""
 
 
-def saved_until(thing, path, step, monkeypatch):
+def saved_until(one, path, step, monkeypatch):
     """Save, and end before the renaming with this number; return whether the save was finished."""
     left = iter(range(step))
     rename = os.replace
@@ -51,7 +51,7 @@ def saved_until(thing, path, step, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(os, "replace", ending)
         try:
-            thing.save(path)
+            one.save(path)
         except Killed:
             return False
     return True
@@ -63,8 +63,8 @@ def test_an_ended_save_leaves_the_old_field_or_the_new_one(name, earlier, tmp_pa
     old, new = objects()[name[0]]
     path, beside = tmp_path / name, tmp_path / f"{name}.json"
     references = []
-    for thing in (new, old):
-        thing.save(path)
+    for one in (new, old):
+        one.save(path)
         references.append(fb.load(path))
     is_new = []
     for step in range(9):
@@ -174,11 +174,11 @@ import fieldbake as fb
 sys.path.insert(0, sys.argv[1])
 from test_facts_of_files import equal, objects
 
-def child(things):
+def child(stored):
     pid = os.fork()
     if not pid:
-        for thing in itertools.cycle(things):
-            thing.save(path)
+        for one in itertools.cycle(stored):
+            one.save(path)
     return pid
 
 def end(pid):
@@ -190,19 +190,19 @@ def look():
     return next((i for i in (0, 1) if equal(found, references[i])), "mixed")
 
 path, kills, loads = sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
-things = objects()[os.path.basename(path)[0]]
+stored = objects()[os.path.basename(path)[0]]
 references = []
-for thing in things:
-    thing.save(path)
+for one in stored:
+    one.save(path)
     references.append(fb.load(path))
 random.seed(1)
 seen = collections.Counter()
 for kill in range(kills):
-    pid = child(things[:: 1 if kill % 2 else -1])
+    pid = child(stored[:: 1 if kill % 2 else -1])
     time.sleep(random.uniform(0.002, 0.06))
     end(pid)
     seen[look()] += 1
-writers = [child([thing]) for thing in things]
+writers = [child([one]) for one in stored]
 try:
     for _ in range(loads):
         try:

@@ -41,7 +41,7 @@ def test_a_hundred_thousand_points_between_the_samples(random):
     assert np.median(excess) < 0
 
 
-def test_rigid_and_disjoint_things_are_off_by_less_than_a_voxel(random):
+def test_rigid_and_disjoint_objects_are_off_by_less_than_a_voxel(random):
     instances = []
     triangles = []
     ball = meshes.icosphere(3)
@@ -114,13 +114,13 @@ def test_an_update_equals_a_full_merge(seed):
 def test_a_scene_is_anything_with_instances(random):
     instances, _ = random_scene(random, 4)
     as_scene = SimpleNamespace(
-        instances=[SimpleNamespace(thing=thing, transform=transform) for thing, transform in instances]
+        instances=[SimpleNamespace(geometry=geometry, transform=transform) for geometry, transform in instances]
     )
     field = fb.merge(as_scene, 24)
     assert np.array_equal(field.distances, fb.merge(instances, 24).distances)
     as_scene.instances[2].transform = placed(np.eye(3), (1, 1, 1))
     moved = field.update([2], scene=as_scene)
-    again = [(i.thing, i.transform) for i in as_scene.instances]
+    again = [(i.geometry, i.transform) for i in as_scene.instances]
     assert np.array_equal(moved.distances, fb.merge(again, 24, bounds=field.bounds).distances)
 
 

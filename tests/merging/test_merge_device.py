@@ -47,7 +47,7 @@ def test_far_from_the_origin_and_at_any_scale(scale, offset, gpu, facts):
     instances, _ = random_scene(random, 8)
     to = np.diag([scale, scale, scale, 1.0])
     to[:3, 3] = offset * scale
-    instances = [(thing, to @ transform) for thing, transform in instances]
+    instances = [(geometry, to @ transform) for geometry, transform in instances]
     cpu, device = (fb.merge(instances, 24, device=place) for place in ("cpu", gpu))
     assert np.array_equal(cpu.distances, device.distances)
     assert facts[-1]["undecided"] < 0.15 * cpu.distances.size
@@ -57,14 +57,14 @@ def test_what_the_device_does_not_know_is_asked_on_the_cpu(gpu, random):
     ball = meshes.icosphere(2)
     cut = fb.bake(ball, 24, bounds=[(-1.2, -1.2, -1.2), (0.1, 1.2, 1.2)])
     whole = fb.bake(ball, 24)
-    things = [
+    geometries = [
         cut,
         (whole, placed(turn(random), (3, 0, 0))),
         (fb.Quadric.paraboloid(), placed(turn(random), (0, 3, 0))),
         # On its own lattice every sample lies on faces of cells.
         (whole, placed(np.eye(3), (8 * whole.spacing[0] * 8, 0, 0))),
     ]
-    cpu, device = (fb.merge(things, 40, device=place) for place in ("cpu", gpu))
+    cpu, device = (fb.merge(geometries, 40, device=place) for place in ("cpu", gpu))
     assert np.array_equal(cpu.distances, device.distances)
     alone = [fb.merge([whole], whole.resolution, bounds=whole.bounds, device=place) for place in ("cpu", gpu)]
     assert np.array_equal(alone[0].distances, alone[1].distances)

@@ -87,7 +87,7 @@ def test_what_the_far_field_does_not_hold_still_throws_shadows():
     assert (without.shadow != half.shadow).mean() < 0.05
 
 
-def test_translucent_things_keep_their_share():
+def test_translucent_objects_keep_their_share():
     ball = fb.bake(fb.Mesh(*meshes.icosphere(3)), 32)
     opaque = fb.Instance(ball, moved(5, 4, 0))
     glass = fb.Instance(ball, moved(-5, 4, 0), opacity=0.25)

@@ -29,7 +29,9 @@ def test_equal_images_are_decoded_once(tmp_path):
         part.visual = trimesh.visual.TextureVisuals(uv=part.vertices[:, :2], material=material)
         scene.add_geometry(part)
     scene.export(tmp_path / "shared.glb")
-    textures = [mesh.parts[0].texture for mesh in (i.thing for i in fb.load_scene(tmp_path / "shared.glb").instances)]
+    textures = [
+        mesh.parts[0].texture for mesh in (i.geometry for i in fb.load_scene(tmp_path / "shared.glb").instances)
+    ]
     assert all(texture is textures[0] for texture in textures)
     assert np.array_equal(textures[0][..., :3], pixels)
     # Arrays that change between two meshes are not confused.

@@ -66,10 +66,10 @@ def test_every_entrance_refuses_the_same(name):
             entrance()
 
 
-@pytest.mark.parametrize("thing", [None, 3, {}, [], (), "", b"mesh", object(), (1, 2, 3), [None], ("a", "b", "c")])
-def test_things_that_are_no_mesh(thing):
+@pytest.mark.parametrize("geometry", [None, 3, {}, [], (), "", b"mesh", object(), (1, 2, 3), [None], ("a", "b", "c")])
+def test_objects_that_are_no_mesh(geometry):
     with pytest.raises((fb.MeshError, FileNotFoundError)):
-        fb.bake(thing, resolution=8)
+        fb.bake(geometry, resolution=8)
 
 
 def test_a_bad_part_of_a_list_is_named():

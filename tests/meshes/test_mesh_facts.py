@@ -276,8 +276,8 @@ def test_polydata_and_open3d_meshes_are_taken():
     legacy = SimpleNamespace(vertices=vertices, triangles=faces)
     tensor = SimpleNamespace(vertex=SimpleNamespace(positions=vertices), triangle=SimpleNamespace(indices=faces))
 
-    for thing in (polydata, legacy, tensor):
-        assert fb.as_mesh(thing).volume == pytest.approx(8)
+    for geometry in (polydata, legacy, tensor):
+        assert fb.as_mesh(geometry).volume == pytest.approx(8)
 
 
 class OnlyDlpack:

@@ -84,7 +84,7 @@ NUMBERS = {
     "t_min": lambda value: fb.cast_rays(TRIANGLE, (0, 0, 1), (0, 0, -1), t_min=value),
     "uniform": lambda value: fb.sample_training(TRIANGLE, 2, uniform=value),
     "margin": lambda value: fb.bake(TRIANGLE, 2, margin=value),
-    "degrees": lambda value: BALL.rotate("x", value),
+    "angle_deg": lambda value: BALL.rotate("x", value),
     "level": lambda value: fb.bake(BALL, 4).to_mesh(value),
     "fov_deg": lambda value: fb.Camera((0, 0, 5), (0, 0, 0), fov_deg=value),
 }

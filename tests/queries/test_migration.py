@@ -310,7 +310,7 @@ def test_fogleman_sdf(tmp_path):
         (sdf.box((1, 2, 3)), fb.box((1, 2, 3))),
         (sdf.torus(1, 0.25), fb.torus(1, 0.25)),
         ((sdf.sphere(1) & sdf.box(1.5)) - sdf.cylinder(0.5), (fb.sphere(1) & fb.box(1.5)) - fb.cylinder(0.5, 10)),
-        (sdf.sphere(1).union(sdf.box(1.5), k=0.2), fb.csg.union(fb.sphere(1), fb.box(1.5), k=0.2)),
+        (sdf.sphere(1).union(sdf.box(1.5), k=0.2), fb.Shape.union(fb.sphere(1), fb.box(1.5), k=0.2)),
         (sdf.sphere(0.5).translate((0, 0, 1)), fb.sphere(0.5).translate((0, 0, 1))),
         (sdf.sphere(1).shell(0.1), fb.sphere(1).shell(0.1)),
     ]

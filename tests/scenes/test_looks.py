@@ -28,10 +28,10 @@ def points() -> np.ndarray:
     return np.stack(np.broadcast_arrays(x[None, :], -x[:, None]), axis=-1)
 
 
-def shown(thing, device="cpu", **scene):
+def shown(geometry, device="cpu", **scene):
     """Linear RGB of the picture under ambient light alone, which is the base colour."""
     options = {"lights": [], "ambient": 1.0, **scene}
-    return fb.render(fb.Scene([thing], **options), CAMERA, size=SIZE, shadows="none", device=device).color[..., :3]
+    return fb.render(fb.Scene([geometry], **options), CAMERA, size=SIZE, shadows="none", device=device).color[..., :3]
 
 
 def glb(path, material, *, color=None, uv=None, image=None, extensions=()):
@@ -116,8 +116,8 @@ def test_trimesh_and_ply_keep_their_colors(tmp_path):
     mesh.visual.vertex_colors = np.tile(np.array([[188, 0, 255, 255]], np.uint8), (4, 1))
     mesh.export(tmp_path / "scan.ply")
     expected = (((188 / 255 + 0.055) / 1.055) ** 2.4, 0.0, 1.0)
-    for thing in (mesh, fb.load_mesh(tmp_path / "scan.ply"), fb.as_mesh([mesh, (mesh, np.eye(4))])):
-        np.testing.assert_allclose(shown(thing), np.broadcast_to(expected, (32, 32, 3)), atol=1e-6, equal_nan=False)
+    for geometry in (mesh, fb.load_mesh(tmp_path / "scan.ply"), fb.as_mesh([mesh, (mesh, np.eye(4))])):
+        np.testing.assert_allclose(shown(geometry), np.broadcast_to(expected, (32, 32, 3)), atol=1e-6, equal_nan=False)
     faces = trimesh.Trimesh(CORNERS, FACES, process=False)
     faces.visual.face_colors = [[255, 0, 0, 255], [255, 0, 0, 255]]
     assert np.array_equal(shown(faces), np.broadcast_to(np.float32((1, 0, 0)), (32, 32, 3)))

@@ -20,12 +20,12 @@ CAMERA = fb.Camera((6, 5, 9), (0, -0.6, 0), fov_deg=40)
 def crowd(count: int) -> fb.Scene:
     """Knots and balls at random positions over a floor, with the same density for any count."""
     random = np.random.default_rng(4)
-    things = [fb.models.torus_knot(segments=64, sides=10), fb.Mesh(*meshes.icosphere(3))]
+    geometries = [fb.models.torus_knot(segments=64, sides=10), fb.Mesh(*meshes.icosphere(3))]
     side = 0.8 * np.sqrt(count)
     places = [moved(scale=(0.3, 0.3, 0.3)) for _ in range(count)]
     for place in places:
         place[:3, 3] = random.uniform(-side, side), -0.7, random.uniform(-side, side)
-    instances = [fb.Instance(things[i % 2], place, resolution=32) for i, place in enumerate(places)]
+    instances = [fb.Instance(geometries[i % 2], place, resolution=32) for i, place in enumerate(places)]
     return fb.Scene([*instances, plane(2 * side)], lights=[fb.DirectionalLight((-1, -2, -0.6), angle_deg=1.5)])
 
 

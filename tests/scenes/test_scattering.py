@@ -43,19 +43,19 @@ def test_a_slab_passes_the_exponential_of_its_thickness(thickness: float, device
 
 @pytest.mark.parametrize("shadows", SHADOWS)
 def test_a_wall_before_the_lamp_keeps_light_out(shadows: str, device: str) -> None:
-    thing = fb.Instance(slab(0.2), material=jade())
+    instance = fb.Instance(slab(0.2), material=jade())
     wall = fb.Instance(slab(0.2, z=-2, side=3))
     options = {"shadows": shadows, "device": device}
     # A ray of the area lamp is slanted by up to 1 degree: 2e-4 of the exponent.
-    np.testing.assert_allclose(red_in_the_middle(seen([thing], **options)), np.exp(-1), rtol=5e-4, equal_nan=False)
-    assert red_in_the_middle(seen([thing, wall], **options)) == 0
+    np.testing.assert_allclose(red_in_the_middle(seen([instance], **options)), np.exp(-1), rtol=5e-4, equal_nan=False)
+    assert red_in_the_middle(seen([instance, wall], **options)) == 0
     # Half-opaque ones keep half.
     veil = fb.Instance(slab(0.2, z=-2, side=3), opacity=0.5)
     np.testing.assert_allclose(
-        red_in_the_middle(seen([thing, veil], **options)), np.exp(-1) / 2, rtol=5e-4, equal_nan=False
+        red_in_the_middle(seen([instance, veil], **options)), np.exp(-1) / 2, rtol=5e-4, equal_nan=False
     )
     # Without shadows nothing is in the way.
-    frame = seen([thing, wall], shadows="none", device=device)
+    frame = seen([instance, wall], shadows="none", device=device)
     np.testing.assert_allclose(red_in_the_middle(frame), np.exp(-1), rtol=1e-4, equal_nan=False)
 
 
@@ -184,8 +184,8 @@ def test_light_of_an_area_lamp_is_the_monte_carlo_mean(shadows: str, device: str
     wall = fb.Mesh(*meshes.box((0, -6, -2.1), (6, 6, -1.9)))
     lamp = fb.DirectionalLight((0, 0, 1), angle_deg=8)
     camera = fb.Camera((0, 0, 30), (0, 0, 0), fov_deg=3)
-    things = [fb.Instance(slab(0.4), material=jade(length)), fb.Instance(wall)]
-    frame = seen(things, lamp, size=(65, 9), camera=camera, shadows=shadows, area_samples=256, device=device)
+    objects = [fb.Instance(slab(0.4), material=jade(length)), fb.Instance(wall)]
+    frame = seen(objects, lamp, size=(65, 9), camera=camera, shadows=shadows, area_samples=256, device=device)
     x = (np.arange(65) - 32) * 2 * np.tan(np.radians(1.5)) / 9 * (30 - 0.2)
     random = np.random.default_rng(3)
     radius, angle = np.tan(half_angle) * np.sqrt(random.random(20000)), 2 * np.pi * random.random(20000)

@@ -25,8 +25,8 @@ def test_an_instance_is_the_mesh_transformed_and_baked_anew(name: str) -> None:
     anew = fb.as_mesh((knot, matrix))
     camera = fb.Camera((3, 5, 5), (0, 0, 0), fov_deg=50)
     pictures = []
-    for thing, transform in ((knot, matrix), (anew, np.eye(4))):
-        instance = fb.Instance(thing, transform, resolution=96)
+    for geometry, transform in ((knot, matrix), (anew, np.eye(4))):
+        instance = fb.Instance(geometry, transform, resolution=96)
         scene = fb.Scene([instance, plane()], lights=[fb.DirectionalLight(SUN, angle_deg=3)])
         pictures.append(fb.render(scene, camera, size=(128, 96), device="cpu"))
     a, b = pictures
@@ -237,9 +237,9 @@ def test_a_picture_does_not_depend_on_the_unit(unit: float, device: str) -> None
             fb.PointLight((3 * unit, 4 * unit, 2 * unit), radius=0.3 * unit),
         ]
         jade = fb.Material(color=(0.5, 0.9, 0.6), scattering=0.3 * unit)
-        things = [fb.Instance(fb.Mesh(vertices * unit, faces), material=jade), wide]
+        geometries = [fb.Instance(fb.Mesh(vertices * unit, faces), material=jade), wide]
         camera = fb.Camera((4 * unit, 3 * unit, 6 * unit), (0, -0.5 * unit, 0))
-        scene = fb.Scene(things, lights=lights)
+        scene = fb.Scene(geometries, lights=lights)
         return fb.render(scene, camera, size=(60, 45), ambient_occlusion=2 * unit, device=device).color
 
     one, other = picture(1.0), picture(unit)
@@ -353,7 +353,7 @@ def test_depth_and_silhouette_are_pyrenders(name: str, model_path) -> None:
 
 def test_object_ids_are_pyrenders() -> None:
     pyrender = pytest.importorskip("pyrender")
-    things = [
+    geometries = [
         (meshes.icosphere(3), moved(x=-0.9)),
         (meshes.icosphere(2), moved(x=0.6, z=-0.5, scale=(1.2, 0.7, 0.4), turn=0.6)),
         ((plane().vertices, plane().faces), np.eye(4)),
@@ -361,7 +361,7 @@ def test_object_ids_are_pyrenders() -> None:
     camera = fb.Camera((1.0, 3.0, 5.0), (0.0, -0.3, 0.0), fov_deg=45)
     scene = pyrender.Scene()
     colors = {}
-    for i, ((vertices, faces), transform) in enumerate(things):
+    for i, ((vertices, faces), transform) in enumerate(geometries):
         mesh = pyrender.Mesh.from_trimesh(fb.Mesh(vertices, faces).to_trimesh(), smooth=False)
         colors[scene.add(mesh, pose=transform)] = (i + 1, 0, 0)
     scene.add(pyrender.PerspectiveCamera(np.radians(45), znear=0.1, zfar=50.0), pose=camera.pose)
@@ -370,7 +370,7 @@ def test_object_ids_are_pyrenders() -> None:
         theirs, _ = renderer.render(scene, flags=pyrender.RenderFlags.SEG, seg_node_map=colors)
     finally:
         renderer.delete()
-    instances = [fb.Instance(fb.Mesh(*mesh), transform) for mesh, transform in things]
+    instances = [fb.Instance(fb.Mesh(*mesh), transform) for mesh, transform in geometries]
     ours = fb.render(fb.Scene(instances), camera, size=(256, 256), shadows="none", device="cpu")
     assert (ours.object_id == theirs[..., 0].astype(int) - 1).mean() > 0.998
     assert set(np.unique(ours.object_id)) == {-1, 0, 1, 2}

@@ -30,7 +30,7 @@ def field() -> fb.Volume:
     return fb.bake(fb.models.torus_knot(), 32)
 
 
-#: A ball of radius 1 as every kind of thing, with where it stands.
+#: A ball of radius 1 as every kind of geometry, with its transform.
 BALLS = {
     "quadric": lambda: (fb.Quadric.sphere(), moved(y=0.6)),
     "quadric, unevenly scaled": lambda: (fb.Quadric.ellipsoid(radii=(2, 0.5, 1)), moved(y=0.6, scale=(0.5, 2, 1))),
@@ -42,8 +42,8 @@ BALLS = {
 
 
 def over_plane(kind: str, light: fb.DirectionalLight, shadows: str, device: str = "cpu") -> fb.Frame:
-    thing, transform = BALLS[kind]()
-    scene = fb.Scene([fb.Instance(thing, transform), plane()], lights=[light])
+    geometry, transform = BALLS[kind]()
+    scene = fb.Scene([fb.Instance(geometry, transform), plane()], lights=[light])
     return fb.render(scene, CAMERA, size=(160, 120), shadows=shadows, device=device)
 
 
@@ -76,7 +76,7 @@ def test_penumbrae_are_as_wide_as_the_light_is_large(kind: str, angle_deg: float
     assert partial(frame.shadow[on_plane]) == pytest.approx(partial(truth), rel=0.15)
 
 
-THINGS = {
+GEOMETRIES = {
     "quadrics": lambda: [
         bowl(),
         fb.Quadric.cylinder((0, 0, 0.3), 0.4, 1.2),
@@ -88,11 +88,11 @@ THINGS = {
 }
 
 
-@pytest.mark.parametrize("name", THINGS)
+@pytest.mark.parametrize("name", GEOMETRIES)
 def test_soft_is_near_the_area_reference(name: str) -> None:
     place = moved(y=0.4, scale=(1.2, 0.8, 1.0), turn=0.5)
     scene = fb.Scene(
-        [fb.Instance(THINGS[name](), place), plane()],
+        [fb.Instance(GEOMETRIES[name](), place), plane()],
         lights=[fb.DirectionalLight(SUN, angle_deg=8), fb.PointLight((2, 5, 1), radius=0.4)],
     )
     soft, area = (fb.render(scene, CAMERA, size=(80, 60), shadows=s, device="cpu") for s in ("soft", "area"))
@@ -107,8 +107,8 @@ def test_opacities_multiply() -> None:
     flat = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
     sun = [fb.DirectionalLight((0, -1, 0), angle_deg=4)]
     # The camera looks from below a floor that it does not see, so nothing but the floor's upper side counts.
-    for things, kept in (([discs], 1.0), (discs, 1.0), ([discs], 0.5)):
-        instances = [fb.Instance(thing, flat, opacity=kept, visible=False) for thing in things]
+    for geometries, kept in (([discs], 1.0), (discs, 1.0), ([discs], 0.5)):
+        instances = [fb.Instance(geometry, flat, opacity=kept, visible=False) for geometry in geometries]
         scene = fb.Scene([*instances, plane()], lights=sun)
         middle = fb.render(scene, ABOVE, size=(9, 9), shadows="soft", device="cpu").shadow[4, 4]
         # A plane pair is one quadric: its two sheets count once.
@@ -161,7 +161,7 @@ def test_quadrics_are_drawn_as_raymarch_draws_them() -> None:
     # Normals of both sides of the sheet look at the eye.
     assert np.abs(frame.normal - alone.normal)[same].max() < 1e-3
     assert np.abs(frame.color - alone.color)[same].max() < 1 / 255
-    # As one thing they are one object; through `raymarch` they get soft shadows.
+    # In one list they are one object; `raymarch` draws them with soft shadows.
     assert set(np.unique(fb.render([quadrics], camera, size=(32, 32), device="cpu").object_id)) == {-1, 0}
     soft = fb.raymarch(quadrics, camera, size=(32, 32), shadows="soft", device="cpu")
     assert set(np.unique(soft.object_id)) == {-1, 0, 1}
@@ -169,7 +169,7 @@ def test_quadrics_are_drawn_as_raymarch_draws_them() -> None:
 
 def kinds(place: float = 1.0) -> list[fb.Instance]:
     """One object of each kind, side by side; they overlap if `place` is below 1."""
-    things = [
+    geometries = [
         fb.models.torus_knot(segments=96, sides=12),
         field(),
         tube(),
@@ -178,10 +178,10 @@ def kinds(place: float = 1.0) -> list[fb.Instance]:
         fb.pack([field()], encoding="snorm16")[0],
         field().quantize("snorm8"),
     ]
-    angle = 2 * np.pi / len(things)
+    angle = 2 * np.pi / len(geometries)
     return [
-        fb.Instance(thing, moved(2 * place * np.cos(i * angle), 0, 2 * place * np.sin(i * angle), scale=(0.6,) * 3))
-        for i, thing in enumerate(things)
+        fb.Instance(geometry, moved(2 * place * np.cos(i * angle), 0, 2 * place * np.sin(i * angle), scale=(0.6,) * 3))
+        for i, geometry in enumerate(geometries)
     ]
 
 
@@ -198,11 +198,11 @@ def test_the_nearest_of_all_kinds_is_seen() -> None:
 
 
 def test_each_kind_shades_the_others() -> None:
-    # Seen from the light every thing hides the floor; so where the light's view shows a thing, the floor is dark.
+    # Every object hides the floor from the light, so the floor is dark where a picture from the light shows an object.
     instances = kinds()
     sun = fb.DirectionalLight((0, -1, 0))
     scene = fb.Scene([*instances, plane()], lights=[sun], ambient=0)
-    hidden = [fb.Instance(item.thing, item.transform, visible=False) for item in instances]
+    hidden = [fb.Instance(item.geometry, item.transform, visible=False) for item in instances]
     floor = fb.render(fb.Scene([*hidden, plane()], lights=[sun]), ABOVE, size=(96, 96), shadows="hard", device="cpu")
     p = positions(floor, ABOVE)
     # A camera far up the light sees what a parallel light meets, to a pixel.
@@ -221,7 +221,8 @@ def test_a_sparse_field_looks_as_the_dense_one() -> None:
     sparse = dense.to_sparse(tolerance=0)
     camera = fb.Camera((1.5, 2, 3), (0, 0, 0))
     a, b = (
-        fb.render([thing, plane()], camera, size=(80, 60), shadows="hard", device="cpu") for thing in (dense, sparse)
+        fb.render([geometry, plane()], camera, size=(80, 60), shadows="hard", device="cpu")
+        for geometry in (dense, sparse)
     )
     assert (a.object_id == b.object_id).mean() > 0.999
     both = np.isfinite(a.depth) & np.isfinite(b.depth)
@@ -257,8 +258,8 @@ def test_surroundings_are_shut_out_by_every_kind() -> None:
     camera = fb.Camera((0.5, 2.5, 3.0), (0, -0.8, 0), fov_deg=35)
     ball = moved(y=-0.5, scale=(0.5,) * 3)
     frames = []
-    for thing in (fb.bake(fb.sphere(1), 64), fb.Quadric.sphere(), fb.sphere(1)):
-        scene = fb.Scene([fb.Instance(thing, ball), plane()], lights=[], ambient=1)
+    for geometry in (fb.bake(fb.sphere(1), 64), fb.Quadric.sphere(), fb.sphere(1)):
+        scene = fb.Scene([fb.Instance(geometry, ball), plane()], lights=[], ambient=1)
         frames.append(fb.render(scene, camera, size=(64, 48), ambient_occlusion=1.5, device="cpu"))
     # Thin rays and cones agree on how open the floor is, within what cones are off by near contact.
     assert frames[0].color.min() < 0.5
@@ -276,8 +277,8 @@ def test_a_scene_of_all_kinds_is_merged() -> None:
     assert merged.sample(on).max() < 0.5 * np.linalg.norm(merged.spacing)
     moved_on = [(3, moved(y=1.0)), (0, moved(y=1.0))]
     updated = merged.update(moved_on)
-    items = [(item.thing, item.transform) for item in instances]
-    now = [fb.Instance(thing, dict(moved_on).get(i, place)) for i, (thing, place) in enumerate(items)]
+    items = [(item.geometry, item.transform) for item in instances]
+    now = [fb.Instance(geometry, dict(moved_on).get(i, place)) for i, (geometry, place) in enumerate(items)]
     assert (updated.distances == fb.merge(fb.Scene(now), merged.resolution, bounds=merged.bounds).distances).all()
 
 

@@ -58,7 +58,7 @@ KINDS = {
     "shapes": shapes,
     "all": lambda: [
         *quadrics(),
-        *(fb.Instance(item.thing, item.transform @ moved(x=0.8, z=-1.2)) for item in (*sparse()[:1], *shapes()[:1])),
+        *(fb.Instance(item.geometry, item.transform @ moved(x=0.8, z=-1.2)) for item in (*sparse()[:1], *shapes()[:1])),
         fb.Instance(knot(), moved(x=-1.6, z=1.2, scale=(0.5,) * 3)),
     ],
 }
@@ -84,7 +84,7 @@ def test_a_device_draws_and_lights_every_kind(name: str, shadows: str, gpu: str)
 
 
 @pytest.mark.parametrize("eye", [(0.1, 0.15, 0.05), (0, 40, 900)])
-def test_a_device_sees_things_from_within_and_from_afar(eye: tuple[float, float, float], gpu: str) -> None:
+def test_a_device_sees_objects_from_within_and_from_afar(eye: tuple[float, float, float], gpu: str) -> None:
     scene = fb.Scene([*KINDS["sparse and quadrics"](), plane()])
     camera = fb.Camera(eye, (0.5, 0, 0.4), fov_deg=95 if max(eye) < 1 else 0.4)
     here, there = (fb.render(scene, camera, size=(80, 60), shadows="none", device=at) for at in ("cpu", gpu))
@@ -117,8 +117,8 @@ def test_shapes_are_met_as_the_parts_of_the_cpu(gpu: str) -> None:
 def test_what_no_device_knows_is_left_to_the_cpu(gpu: str) -> None:
     lattice = fb.box_frame((2, 2, 2), 0.1).repeat((0.4, 0.4, 0.4), (4, 4, 4)).scale(0.5) & fb.sphere(1)
     holds_samples = fb.volume_shape(knot()) | fb.sphere(0.5)
-    for thing in (lattice, holds_samples):
-        scene = fb.Scene([fb.Instance(thing), plane()], lights=LIGHTS)
+    for geometry in (lattice, holds_samples):
+        scene = fb.Scene([fb.Instance(geometry), plane()], lights=LIGHTS)
         here, there = (fb.render(scene, CAMERA, size=(40, 30), device=place) for place in ("cpu", gpu))
         device = there.report["device"]
         assert there.report["devices"] == {"primary": f"{device} and cpu", "light": "cpu"}
@@ -129,7 +129,7 @@ def test_light_goes_through_bricks_and_not_through_sheets(gpu: str) -> None:
     jade = fb.Material(color=(0.5, 0.9, 0.6), scattering=0.3)
     # Deep enough for bricks that are all inside.
     ball = fb.bake_sparse(fb.Mesh(*meshes.icosphere(3)), 96)
-    things = [fb.Instance(ball, moved(x=-1.2), material=jade), fb.Instance(fb.Quadric.sphere(), moved(x=1.2), jade)]
-    scene = fb.Scene([*things, plane()], lights=LIGHTS)
+    geometries = [fb.Instance(ball, moved(x=-1.2), material=jade), fb.Instance(fb.Quadric.sphere(), moved(x=1.2), jade)]
+    scene = fb.Scene([*geometries, plane()], lights=LIGHTS)
     here, there = (fb.render(scene, CAMERA, size=(64, 48), device=place) for place in ("cpu", gpu))
     assert_same_picture(here, there, scene)

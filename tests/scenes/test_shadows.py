@@ -220,7 +220,7 @@ def test_a_leaf_card_casts_the_shadow_of_a_leaf(model_path) -> None:
     sun = np.array((-0.4, -1.0, -0.3))
     foot = center + sun * (center[1] - ground)
     floor = fb.Instance(plane(3 * size, ground))
-    unseen = [fb.Instance(item.thing, item.transform, visible=False) for item in plant.instances]
+    unseen = [fb.Instance(item.geometry, item.transform, visible=False) for item in plant.instances]
     scene = fb.Scene([*unseen, floor], lights=[fb.DirectionalLight(sun)])
     above = np.array((0, 3 * size, 0.001))
     camera = fb.Camera(foot + above, foot, fov_deg=40)
@@ -228,7 +228,7 @@ def test_a_leaf_card_casts_the_shadow_of_a_leaf(model_path) -> None:
     points = positions(frame, camera).reshape(-1, 3)
     leaves = np.zeros(len(points), bool)
     for item in plant.instances:
-        leaves |= masked_hits(item.thing, np.asarray(item.transform), points, -sun)
+        leaves |= masked_hits(item.geometry, np.asarray(item.transform), points, -sun)
     dark = frame.shadow.ravel() == 0
     assert dark.sum() == pytest.approx(leaves.sum(), rel=0.1)
     assert (dark == leaves).mean() > 0.97

@@ -87,12 +87,14 @@ CARDS = {
 }
 
 
-def floor_frame(things: list[fb.Instance], size: int = 128, light: Any = (0, 0, -1), **options: Any) -> fb.Frame:
+def floor_frame(geometries: list[fb.Instance], size: int = 128, light: Any = (0, 0, -1), **options: Any) -> fb.Frame:
     """The floor from far above, with the shadows of instances that the camera does not see."""
     corners = np.array(QUAD[0]) * FLOOR + (0, 0, DEPTH)
     unseen = [
-        fb.Instance(item.thing, item.transform, item.material, item.casts_shadow, False, item.opacity, item.resolution)
-        for item in things
+        fb.Instance(
+            item.geometry, item.transform, item.material, item.casts_shadow, False, item.opacity, item.resolution
+        )
+        for item in geometries
     ]
     height = 500.0
     camera = fb.Camera(
@@ -216,8 +218,8 @@ def test_opacities_of_blended_cards_multiply() -> None:
 def test_a_translucent_solid_takes_its_opacity_once(device: str) -> None:
     glass = fb.Material(color=(1, 1, 1, 0.25))
     ball = fb.Mesh(*meshes.icosphere(3))
-    for thing in (ball, fb.bake(ball, 32), fb.sphere(1)):
-        frame = floor_frame([fb.Instance(thing, material=glass)], size=32, device=device)
+    for geometry in (ball, fb.bake(ball, 32), fb.sphere(1)):
+        frame = floor_frame([fb.Instance(geometry, material=glass)], size=32, device=device)
         assert frame.shadow.min() == pytest.approx(0.75, abs=1e-6)
     # A texture makes it a mesh of triangles: a ray counts where it enters the solid.
     uv = np.full((len(ball.vertices), 2), 0.5)

@@ -105,8 +105,8 @@ def test_smooth_images_are_exact():
 
 def test_occlusion_reduces_it(device):
     # A floor under a large ball: the contact is dark, and the open floor is as without occlusion.
-    things = [fb.Instance(fb.sphere(1.0)), fb.Instance(plane(), moved(scale=(4, 1, 4)))]
-    scene = fb.Scene(things, [], ambient=[[[1.0, 0.5, 0.25]], [[0, 0, 0]]])
+    objects = [fb.Instance(fb.sphere(1.0)), fb.Instance(plane(), moved(scale=(4, 1, 4)))]
+    scene = fb.Scene(objects, [], ambient=[[[1.0, 0.5, 0.25]], [[0, 0, 0]]])
     options = {"size": (24, 18), "shadows": "none", "device": device}
     camera = fb.Camera((2.0, 2.0, 3.0), (0, -1, 0), fov_deg=50)
 

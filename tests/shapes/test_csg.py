@@ -90,9 +90,9 @@ def test_far_and_tiny_shapes_keep_their_accuracy():
 
 def test_operators_are_the_named_ones():
     a, b = fb.sphere(1), fb.box((1, 1, 3))
-    assert a | b == a.union(b) == fb.csg.union(a, b)
-    assert a & b == fb.csg.intersection(a, b)
-    assert a - b == fb.csg.difference(a, b)
+    assert a | b == a.union(b) == fb.Shape.union(a, b)
+    assert a & b == fb.Shape.intersection(a, b)
+    assert a - b == fb.Shape.difference(a, b)
     assert a ^ b == a.xor(b)
     assert (a | b).smooth(0.2) == a.union(b, k=0.2)
     assert (a - b).chamfer(0.2) == a.difference(b, chamfer=0.2)
@@ -123,7 +123,7 @@ def test_align_moves_by_the_box_without_fillets():
 
 def test_a_bent_bar_bends_and_never_overestimates():
     # About z by 20 degrees a unit of x: the tip of the bar, 2 units out, rises.
-    bent = fb.box((4, 0.4, 0.4)).bend(20)
+    bent = fb.box((4, 0.4, 0.4)).bend(per_unit_deg=20)
     assert bent.distance([(0, 0, 0)])[0] < 0
     points = np.random.default_rng(5).uniform(-2.5, 2.5, (3000, 3))
     inside = bent.distance(points) < 0
@@ -132,6 +132,40 @@ def test_a_bent_bar_bends_and_never_overestimates():
     # The distance to the nearest inside sample is no less than what the field claims.
     nearest, _ = cKDTree(points[inside]).query(points[~inside])
     assert (bent.distance(points[~inside]) <= nearest).all()
+
+
+def test_pitch_and_radius_are_lengths_of_a_deformation():
+    bar, points = fb.box((1, 0.5, 4)), np.random.default_rng(6).uniform(-2, 2, (500, 3))
+    for deformed, angle in (
+        (bar.twist(pitch=8), lambda p: 2 * np.pi * p[:, 2] / 8),
+        (bar.twist(pitch=-8), lambda p: -2 * np.pi * p[:, 2] / 8),
+        (bar.twist(per_unit_deg=45), lambda p: np.radians(45) * p[:, 2]),
+        (bar.bend(radius=5), lambda p: p[:, 0] / 5),
+        (bar.bend(per_unit_deg=-10), lambda p: np.radians(-10) * p[:, 0]),
+    ):
+        # The inside of the deformed solid, by the rotation of each point back to the bar.
+        back = -angle(points)
+        x, y, z = points.T
+        turned = np.stack([np.cos(back) * x - np.sin(back) * y, np.sin(back) * x + np.cos(back) * y, z], axis=-1)
+        assert np.array_equal(deformed.distance(points) < 0, bar.distance(turned) < 0)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda ball: ball.twist(), "per_unit_deg, pitch: exactly one of the two must be given, got none"),
+        (lambda ball: ball.twist(per_unit_deg=1, pitch=1), "per_unit_deg, pitch: exactly one .* got both"),
+        (lambda ball: ball.twist(pitch=0), "pitch: must not be 0"),
+        (lambda ball: ball.twist(pitch=float("nan")), "pitch: must be a finite number"),
+        (lambda ball: ball.bend(), "per_unit_deg, radius: exactly one of the two must be given, got none"),
+        (lambda ball: ball.bend(radius=0), "radius: must not be 0"),
+        (lambda ball: ball.bend(radius="2"), "radius: must be a finite number"),
+        (lambda ball: ball.bend(per_unit_deg=float("inf")), "per_unit_deg: must be a finite number"),
+    ],
+)
+def test_deformations_take_one_measure(call, message):
+    with pytest.raises(fb.ShapeError, match=f"^{message}"):
+        call(fb.sphere())
 
 
 def test_volumes_are_leaves():
@@ -237,7 +271,7 @@ def test_an_empty_shape_has_no_parts_and_an_empty_picture():
 
 def test_a_thousand_leaves_fall_into_small_parts():
     random = np.random.default_rng(0)
-    shape = fb.csg.union(*(fb.sphere(0.1).translate(random.uniform(-2, 2, 3)) for _ in range(1000)))
+    shape = fb.Shape.union(*(fb.sphere(0.1).translate(random.uniform(-2, 2, 3)) for _ in range(1000)))
     parts = fb.csg.decompose(shape)
     assert max(part.shape._core.leaf_count for part in parts) < 20
     assert parts.structures < 20
@@ -246,7 +280,7 @@ def test_a_thousand_leaves_fall_into_small_parts():
 @pytest.mark.parametrize("method", ["aabb", "octree"])
 def test_points_in_no_box_are_outside_or_wholly_inside(method):
     random = np.random.default_rng(3)
-    shape = fb.box(2) | fb.csg.union(*(fb.sphere(0.3).translate(random.uniform(-1.5, 1.5, 3)) for _ in range(40)))
+    shape = fb.box(2) | fb.Shape.union(*(fb.sphere(0.3).translate(random.uniform(-1.5, 1.5, 3)) for _ in range(40)))
     points = random.uniform(*shape.bounds, (4000, 3))
     boxes = np.concatenate([part.boxes for part in fb.csg.decompose(shape, method=method)])
     in_box = ((points[:, None] >= boxes[:, 0]) & (points[:, None] < boxes[:, 1])).all(axis=-1).any(axis=1)
@@ -389,7 +423,7 @@ def test_shaders_share_a_text_and_differ_in_numbers():
 @pytest.mark.parametrize("solid", truth.SOLIDS, ids=lambda solid: solid.name)
 def test_every_primitive_has_a_shader(solid):
     # Translating it parses and validates it.
-    changed = solid.shape.twist(20).offset(0.1).mirror("x").union(~solid.shape.shell(0.1), k=0.1)
+    changed = solid.shape.twist(per_unit_deg=20).offset(0.1).mirror("x").union(~solid.shape.shell(0.1), k=0.1)
     assert "main" in changed.shader("msl")
 
 
@@ -454,12 +488,11 @@ def test_the_command_line_draws_bakes_and_meshes(tmp_path):
         (lambda: fb.sphere().shell(0), "thickness"),
         (lambda: fb.sphere().paint((1, 0)), "color"),
         (lambda: fb.sphere().smooth(0.1), "shape"),
-        (lambda: fb.csg.union(fb.sphere(), fb.sphere(), k=0.1, chamfer=0.1), "chamfer"),
-        (lambda: fb.csg.union(fb.sphere(), 3), r"shapes\[1\]"),
-        (lambda: fb.csg.union(), "shapes"),
+        (lambda: fb.Shape.union(fb.sphere(), fb.sphere(), k=0.1, chamfer=0.1), "chamfer"),
+        (lambda: fb.Shape.union(fb.sphere(), 3), r"shapes\[1\]"),
         (lambda: fb.csg.decompose(fb.sphere(), method="quadtree"), "method"),
         (lambda: fb.raymarch(fb.sphere(), method="quadtree"), "method"),
-        (lambda: fb.plane().twist(20).bounds, "shape"),
+        (lambda: fb.plane().twist(per_unit_deg=20).bounds, "shape"),
         (lambda: fb.csg.parse(3), "text"),
     ],
 )

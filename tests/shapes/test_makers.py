@@ -45,8 +45,7 @@ def test_round_primitives_lie_between_two_points(a, b):
         lambda: fb.sphere().orient((0, 0, 0)),
         lambda: fb.sphere().circular_array(0),
         lambda: fb.sphere().circular_array(2.5),
-        lambda: fb.csg.union(),
-        lambda: fb.csg.union([fb.sphere(), 3]),
+        lambda: fb.sphere().union(3),
         lambda: fb.sphere().rotate(90, "x"),
         lambda: fb.circle(1).scale(0),
     ],
@@ -117,12 +116,13 @@ def test_a_volume_is_an_operand_on_either_side():
         (volume ^ cube, leaf ^ cube),
     ):
         assert np.array_equal(mixed.distance(POINTS), plain.distance(POINTS))
-    assert fb.csg.union([volume, cube], k=0.1).distance([(0, 0, 0)])[0] < 0
+    assert cube.union(volume, k=0.1).distance([(0, 0, 0)])[0] < 0
 
 
-def test_lists_of_shapes_are_united():
+def test_any_number_of_shapes_are_united():
     parts = [fb.sphere(0.5).translate((i, 0, 0)) for i in range(4)]
-    assert np.array_equal(fb.csg.union(parts).distance(POINTS), fb.csg.union(*parts).distance(POINTS))
+    pairs = parts[0] | parts[1] | parts[2] | parts[3]
+    assert np.array_equal(fb.Shape.union(*parts).distance(POINTS), pairs.distance(POINTS))
 
 
 SHAPES = [
@@ -134,7 +134,7 @@ SHAPES = [
     ~fb.capsule(0.5, 2).rotate((1, 2, 3), 40),
     fb.gyroid(1, 0.1) & fb.octahedron(1),
     fb.extrude(fb.polygon([(0, 0), (1, 0), (0, 1)]), 2) ^ fb.revolve(fb.circle(0.2), 1),
-    fb.box(1).shell(0.1).offset(0.05).twist(20).bend(10).elongate((1, 0, 0)),
+    fb.box(1).shell(0.1).offset(0.05).twist(per_unit_deg=20).bend(per_unit_deg=10).elongate((1, 0, 0)),
     fb.hex_prism(1, 2).mirror("x").reflect((0, 1, 0)).repeat((3, 3, 3), (2, 1, 1)),
     fb.sphere(1).paint((1, 0, 0)).stencil(fb.box(1), (0, 0, 1)),
     fb.truncated_cone(1, 0.5, 2) | fb.capped_torus(1, 0.2, 90) | fb.pyramid(1, 1) | fb.ellipsoid((1, 2, 3)),
@@ -323,7 +323,7 @@ LATTICES = [((1.1, 1.2, 1.3), (5, 4, 6)), ((1.5, 1, 1), (70, 1, 1)), ((-1.2, 1.3
 )
 def test_many_copies_have_the_field_of_their_union(child, spacing, counts):
     places = np.moveaxis(np.indices(counts), 0, -1).reshape(-1, 3) - (np.array(counts) - 1) / 2
-    union = fb.csg.union([child.translate(place) for place in places * np.array(spacing)])
+    union = fb.Shape.union(*[child.translate(place) for place in places * np.array(spacing)])
     many = child.repeat(spacing, counts)
     lower, upper = many.bounds
     np.testing.assert_allclose(many.bounds, union.bounds, atol=1e-9, equal_nan=False)

@@ -12,7 +12,7 @@ import fieldbake as fb
 def model():
     row = [fb.sphere(0.5).translate((2 * i, 0, 0)) for i in range(5)]
     row += [fb.box((1, 2, 1)).rotate("z", 10 * i).translate((3 * i, 4, 0)) for i in range(3)]
-    return fb.csg.union(*row) - fb.cylinder(0.2, 20).rotate("y", 90)
+    return fb.Shape.union(*row) - fb.cylinder(0.2, 20).rotate("y", 90)
 
 
 @pytest.mark.parametrize("method", ["aabb", "octree"])

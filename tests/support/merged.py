@@ -28,16 +28,16 @@ def placed(matrix, place):
 
 def random_scene(random, count, *, rigid=False, spread=4.0):
     """Instances of three volumes, and the triangles of all of them in the world."""
-    things = [meshes.icosphere(2), meshes.torus(segments=24, sides=12), meshes.box((-1, -0.5, -0.3), (1, 0.5, 0.3))]
-    volumes = [fb.bake(thing, 20 + 6 * i) for i, thing in enumerate(things)]
+    geometries = [meshes.icosphere(2), meshes.torus(segments=24, sides=12), meshes.box((-1, -0.5, -0.3), (1, 0.5, 0.3))]
+    volumes = [fb.bake(geometry, 20 + 6 * i) for i, geometry in enumerate(geometries)]
     instances, triangles = [], []
     for i in range(count):
         matrix = turn(random, mirrored=i % 3 == 1 and not rigid)
         if not rigid:
             matrix = matrix @ np.diag(random.uniform(0.3, 1.5, 3)) @ turn(random)
         transform = placed(matrix, random.uniform(-spread, spread, 3))
-        vertices = things[i % 3].vertices @ transform[:3, :3].T + transform[:3, 3]
-        faces = things[i % 3].faces[:, ::-1] if np.linalg.det(matrix) < 0 else things[i % 3].faces
+        vertices = geometries[i % 3].vertices @ transform[:3, :3].T + transform[:3, 3]
+        faces = geometries[i % 3].faces[:, ::-1] if np.linalg.det(matrix) < 0 else geometries[i % 3].faces
         instances.append((volumes[i % 3], transform))
         triangles.append((vertices, faces))
     return instances, triangles

@@ -476,7 +476,7 @@ def twist(tree, degrees):
         stretch = 1 + abs(rate) * np.maximum(np.hypot(p[:, 0], p[:, 1]), reach)
         return tree.field(np.stack([x, y, p[:, 2]], axis=-1)) / stretch
 
-    return Tree(tree.shape.twist(degrees), field, f"twist {degrees} [{tree.text}]")
+    return Tree(tree.shape.twist(per_unit_deg=degrees), field, f"twist {degrees} [{tree.text}]")
 
 
 # --- random trees

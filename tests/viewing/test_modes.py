@@ -123,15 +123,15 @@ def check_motion(found: NDArray[np.uint8], frame: fb.Frame) -> None:
 def test_rays_in_motion_and_the_modes_of_sparse_volumes_and_scenes(tmp_path: Path) -> None:
     ball = fb.bake(fb.sphere(radius=0.9), 24, device="cpu")
     scene = fb.Scene([fb.Instance(knot()), fb.Instance(ball, beside()), fb.Instance(fb.torus(1.9, 0.1))])
-    things = {"sparse": knot().to_sparse(), "scene": scene}
+    geometries = {"sparse": knot().to_sparse(), "scene": scene}
     jobs = []
-    for name, thing in things.items():
+    for name, geometry in geometries.items():
         page = tmp_path / f"{name}.html"
-        thing.to_html(page, camera=camera(), size=SIZE)
+        geometry.to_html(page, camera=camera(), size=SIZE)
         jobs.append({"url": page.as_uri(), "expression": MODES})
-    for thing, result in zip(things.values(), visit(jobs), strict=True):
+    for geometry, result in zip(geometries.values(), visit(jobs), strict=True):
         check_modes(result)
-        check_motion(decoded(result.value["motion"]), fb.raymarch(thing, camera(), size=SIZE, device="cpu"))
+        check_motion(decoded(result.value["motion"]), fb.raymarch(geometry, camera(), size=SIZE, device="cpu"))
 
 
 def test_dense_grids_in_motion_and_meshes_are_triangles(tmp_path: Path) -> None:
@@ -151,9 +151,9 @@ def test_dense_grids_in_motion_and_meshes_are_triangles(tmp_path: Path) -> None:
     near = fb.Camera((3.2, 1.4, 2.6), (0.2, 0, 0), fov_deg=40)
     level = 0.05
     jobs = []
-    for name, thing, view in (("scene", scene, camera()), ("cut", cut, near)):
+    for name, geometry, view in (("scene", scene, camera()), ("cut", cut, near)):
         page = tmp_path / f"{name}.html"
-        thing.to_html(page, camera=view, size=SIZE, encoding="float32")
+        geometry.to_html(page, camera=view, size=SIZE, encoding="float32")
         jobs.append({"url": page.as_uri(), "expression": MOTION.replace("LEVEL", str(level))})
     first, second = visit(jobs)
     for result, has_button in ((first, True), (second, False)):
@@ -188,9 +188,9 @@ def test_triangles_are_whole_near_the_eye_within_their_box_and_on_both_sides(tmp
     knot = fb.models.torus_knot(segments=24, sides=5)
     inverted = fb.Scene([fb.Instance(fb.Mesh(knot.vertices, knot.faces[:, ::-1]), resolution=32)])
     jobs = []
-    for name, thing, view in (("near", padded, front), ("cut", cut, side), ("inverted", inverted, camera())):
+    for name, geometry, view in (("near", padded, front), ("cut", cut, side), ("inverted", inverted, camera())):
         page = tmp_path / f"{name}.html"
-        thing.to_html(page, camera=view, size=SIZE, encoding="float32")
+        geometry.to_html(page, camera=view, size=SIZE, encoding="float32")
         jobs.append({"url": page.as_uri(), "expression": MOTION.replace("LEVEL", str(level))})
     near, edge, back = visit(jobs)
     for result in (near, edge, back):
@@ -272,24 +272,24 @@ SMOOTH = after_first_picture("""
 def test_pictures_at_rest_are_smooth(tmp_path: Path) -> None:
     mesh = fb.Scene([fb.Instance(fb.models.torus_knot(segments=24, sides=5), resolution=32)])
     jobs = []
-    for name, thing, names in (("field", knot(), [""]), ("mesh", mesh, ["mesh"])):
+    for name, geometry, names in (("field", knot(), [""]), ("mesh", mesh, ["mesh"])):
         page = tmp_path / f"{name}.html"
-        thing.to_html(page, camera=camera(), size=SIZE, encoding="float32")
+        geometry.to_html(page, camera=camera(), size=SIZE, encoding="float32")
         jobs.append({"url": page.as_uri(), "expression": SMOOTH.replace("NAMES", str(names))})
     field, triangles = visit(jobs)
-    for result, draw, thing in ((field, fb.raymarch, knot()), (triangles, fb.render, mesh)):
+    for result, draw, geometry in ((field, fb.raymarch, knot()), (triangles, fb.render, mesh)):
         assert result.value is not None, result.errors
         assert result.errors == []
         first, smooth = (decoded(text)[..., :3].astype(float) for text in result.value)
         # 64 samples for each pixel, averaged in sRGB as the view averages.
-        large = draw(thing, camera(), size=(8 * SIZE[0], 8 * SIZE[1]), shadows="hard", device="cpu").image
+        large = draw(geometry, camera(), size=(8 * SIZE[0], 8 * SIZE[1]), shadows="hard", device="cpu").image
         truth = large[..., :3].astype(float).reshape(SIZE[1], 8, SIZE[0], 8, 3).mean(axis=(1, 3))
         if draw is fb.raymarch:
             # The first picture has one sample in the centre of each pixel.
-            center = draw(thing, camera(), size=SIZE, shadows="hard", device="cpu").image
+            center = draw(geometry, camera(), size=SIZE, shadows="hard", device="cpu").image
             assert (np.abs(first - center[..., :3]) <= 2).mean() >= 0.995
         else:
-            first = draw(thing, camera(), size=SIZE, shadows="hard", device="cpu").image[..., :3].astype(float)
+            first = draw(geometry, camera(), size=SIZE, shadows="hard", device="cpu").image[..., :3].astype(float)
         # Four samples in the place of one halve the error of a pixel that has an edge.
         edges = np.ptp(large[..., :3].reshape(SIZE[1], 8, SIZE[0], 8, 3), axis=(1, 3)).max(axis=-1) > 32
         assert edges.sum() > 100

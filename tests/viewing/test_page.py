@@ -34,7 +34,7 @@ def scene() -> fb.Scene:
     place = np.eye(4)
     place[:3, 3] = 2.4, 0.2, 0.3
     place[:3, :3] *= 0.8
-    things = [
+    geometries = [
         fb.Instance(knot(), material=fb.Material(color=(0.9, 0.5, 0.1))),
         fb.Instance(fb.torus(1, 0.3), place),
         fb.Instance(fb.Quadric.sphere((0, 2.2, 0), radius=0.7, reflectance=(0.2, 0.5, 0.9))),
@@ -46,7 +46,7 @@ def scene() -> fb.Scene:
         fb.PointLight((-3, 3, 2), (0.3, 1, 0.3), 4, range=9),
         fb.SpotLight((1, 6, 5), (0, -0.8, -0.6), 8, 20, (1, 0.4, 0.4), 16, range=math.inf),
     ]
-    return fb.Scene(things, lights)
+    return fb.Scene(geometries, lights)
 
 
 #: Objects, the encoding of their page, and the object that raymarch draws.
@@ -75,9 +75,9 @@ def differences(
     camera = fb.Camera((3.5, 3.0, 7.5), (0.4, 0, 0), fov_deg=40)
     expected, jobs = [], []
     for number, name in enumerate(cases):
-        thing, encoding, drawn = CASES[name]()
+        geometry, encoding, drawn = CASES[name]()
         page = tmp_path / f"{number}.html"
-        text = thing.to_html(page, camera=camera, encoding=encoding, size=size)
+        text = geometry.to_html(page, camera=camera, encoding=encoding, size=size)
         assert page.read_text(encoding="utf-8") == text
         jobs.append({"url": page.as_uri(), "expression": PIXELS})
         expected.append(fb.raymarch(drawn, camera, size=size, device="cpu"))
@@ -164,13 +164,13 @@ def test_a_large_page_warns() -> None:
         noise.to_html(encoding="float32", size=(16, 16))
 
 
-def content(thing: object) -> Content:
-    return content_of(thing, None, "snorm8", SIZE)
+def content(geometry: object) -> Content:
+    return content_of(geometry, None, "snorm8", SIZE)
 
 
 def test_the_page_of_a_large_shape_says_that_a_field_is_drawn() -> None:
     few, many = (
-        fb.csg.union([fb.sphere(0.1).translate((x, y, 0)) for x in range(side) for y in range(side)])
+        fb.Shape.union(*[fb.sphere(0.1).translate((x, y, 0)) for x in range(side) for y in range(side)])
         for side in (3, 10)
     )
     assert content(few).title == "Shape"

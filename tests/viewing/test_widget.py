@@ -107,9 +107,9 @@ def test_every_object_has_a_face() -> None:
     knot = fb.models.torus_knot(segments=32, sides=6)
     quadric = fb.Quadric.sphere(radius=1)
     nested = fb.merge([ball()], 16, levels=2, center=(0, 0, 0))
-    things = [ball(), ball().to_sparse(), fb.sphere(radius=1), knot, quadric, fb.Scene([knot, quadric]), nested]
-    for thing in [*things, fb.pack([ball()], page_size=256)]:
-        assert thing._repr_png_().startswith(PNG), thing
+    geometries = [ball(), ball().to_sparse(), fb.sphere(radius=1), knot, quadric, fb.Scene([knot, quadric]), nested]
+    for geometry in [*geometries, fb.pack([ball()], page_size=256)]:
+        assert geometry._repr_png_().startswith(PNG), geometry
     assert fb.Volume(np.ones((3, 3, 3)), [(0, 0, 0), (1, 1, 1)])._repr_png_() is None
     assert ball().report._repr_html_().startswith("<table")
     assert "self-intersections</td>" in fb.solid(knot, 12).report._repr_html_()

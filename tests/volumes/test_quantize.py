@@ -184,7 +184,7 @@ def test_pictures_of_a_quantised_mesh_of_any_size(size: float, device: str) -> N
     vertices, faces = meshes.torus()
     exact = fb.bake((np.asarray(vertices) * size, faces), 20, device="cpu")
     for field in (exact.quantize("float16"), exact.to_sparse(encoding="float16", tolerance=None)):
-        ours, theirs = (fb.raymarch(thing, size=(32, 24), device=device) for thing in (field, exact))
+        ours, theirs = (fb.raymarch(geometry, size=(32, 24), device=device) for geometry in (field, exact))
         both = (ours.object_id == 0) & (theirs.object_id == 0)
         assert both.sum() > 100
         assert (ours.object_id != theirs.object_id).mean() < 0.01
@@ -211,8 +211,8 @@ def test_a_texture_in_another_encoding(volume: fb.Volume, tmp_path: Path) -> Non
 def test_a_scene_takes_volumes_of_every_kind(volume: fb.Volume) -> None:
     camera = fb.Camera.fit(volume.bounds)
     pictures = [
-        fb.render(fb.Scene([thing]), camera, size=(48, 48), device="cpu").object_id
-        for thing in (volume, volume.quantize("snorm16"), volume.to_sparse(tolerance=None))
+        fb.render(fb.Scene([geometry]), camera, size=(48, 48), device="cpu").object_id
+        for geometry in (volume, volume.quantize("snorm16"), volume.to_sparse(tolerance=None))
     ]
     assert (pictures[0] == 0).any()
     for picture in pictures[1:]:

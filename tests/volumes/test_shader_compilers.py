@@ -25,7 +25,7 @@ CALLS = {
 
 
 @pytest.fixture(scope="module")
-def things():
+def functions():
     volume = fb.bake(fb.box((2, 1, 0.5)), 8)
     aside = np.eye(4)
     aside[0, 3] = 6
@@ -54,8 +54,8 @@ def sum_of(name, *, words="p"):
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_naga_compiles_the_wgsl(things, name):
-    text = things[name]("wgsl")
+def test_naga_compiles_the_wgsl(functions, name):
+    text = functions[name]("wgsl")
     if name == "quadrics":
         # naga is called through these functions; the text has them already.
         assert "fn intersect_quadric" in text
@@ -68,21 +68,21 @@ def test_naga_compiles_the_wgsl(things, name):
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_glslang_compiles_the_glsl_and_the_hlsl(things, name, tmp_path):
+def test_glslang_compiles_the_glsl_and_the_hlsl(functions, name, tmp_path):
     main = f"\nout vec4 color;\nvoid main() {{ vec3 p = gl_FragCoord.xyz; color = vec4({sum_of(name)}); }}\n"
-    text = things[name]("glsl") + main
+    text = functions[name]("glsl") + main
     assert glsl_errors(tmp_path, "frag", text) == ""
     assert glsl_errors(tmp_path, "frag", text.replace("vec3 p", "vec2 p")) != "" or not CALLS[name]
     main = (
         f"\nfloat4 main(float4 at : SV_Position) : SV_Target {{ float3 p = at.xyz; return ({sum_of(name)}).xxxx; }}\n"
     )
-    text = things[name]("hlsl") + main
+    text = functions[name]("hlsl") + main
     assert hlsl_errors(tmp_path, "frag", text) == ""
     assert hlsl_errors(tmp_path, "frag", text.replace("float3 p", "float9 p")) != ""
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_clang_parses_the_msl(things, name):
-    text = things[name]("msl")
+def test_clang_parses_the_msl(functions, name):
+    text = functions[name]("msl")
     assert metal_errors(text) == []
     assert metal_errors(text.replace("return ", "return undefined_", 1)) != []

@@ -258,7 +258,7 @@ def test_a_sparse_volume_is_packed_and_merged_as_its_whole_grid(dense: fb.Volume
     atlas = fb.pack([sparse, (sparse, np.eye(4))], page_size=1024)
     assert np.array_equal(atlas.unpack(0).distances, whole)
     assert np.array_equal(atlas.unpack(atlas.add(sparse)).distances, whole)
-    merged, expected = (fb.merge(thing, 24, device="cpu") for thing in ([sparse], [sparse.to_volume()]))
+    merged, expected = (fb.merge(geometry, 24, device="cpu") for geometry in ([sparse], [sparse.to_volume()]))
     assert np.array_equal(merged.distances, expected.distances)
 
 

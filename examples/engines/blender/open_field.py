@@ -59,8 +59,8 @@ def main(field: Path, picture: Path, positions: Path | None) -> None:
     sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
     sun.data.energy, sun.data.angle = 2.0, 0.1
     sun.rotation_euler = (0.7, 0.3, 0.4)
-    for thing in (camera, sun):
-        scene.collection.objects.link(thing)
+    for created in (camera, sun):
+        scene.collection.objects.link(created)
     scene.camera = camera
     bpy.ops.mesh.primitive_plane_add(size=10 * size, location=(center[0], center[1], lower[2]))
     scene.world = bpy.data.worlds.new("world")

@@ -345,28 +345,28 @@ def checked_item(
     i: int, item: object, resolution: Resolution = DEFAULT_RESOLUTION
 ) -> tuple[Volume, NDArray[np.float64]]:
     """Check a volume and its model matrix; meshes and shapes are baked at `resolution`."""
-    thing, model = item, None
+    geometry, model = item, None
     # A pair may also be the vertices and faces of a mesh.
     if isinstance(item, tuple) and len(item) == 2 and isinstance(item[0], _WHOLE):
-        thing, model = item
+        geometry, model = item
     placed = np.eye(4) if model is None else checks.affine(f"volumes[{i}] transform", model, ArgumentError)
-    if isinstance(thing, SparseVolume):
-        return thing.to_volume(), placed
-    if isinstance(thing, Volume):
-        return thing, placed
+    if isinstance(geometry, SparseVolume):
+        return geometry.to_volume(), placed
+    if isinstance(geometry, Volume):
+        return geometry, placed
     wanted = f"volumes[{i}]: must be a volume, a mesh, a shape, or a pair of one of these and a (4, 4) transform"
-    if hasattr(thing, "to_volume"):
-        raise ArgumentError(f"{wanted}, got {checks.describe(thing)}")
+    if hasattr(geometry, "to_volume"):
+        raise ArgumentError(f"{wanted}, got {checks.describe(geometry)}")
     try:
-        return bake(thing, resolution), placed
+        return bake(geometry, resolution), placed
     except MeshError as error:
-        raise ArgumentError(f"{wanted}, got {checks.describe(thing)} ({error})") from None
+        raise ArgumentError(f"{wanted}, got {checks.describe(geometry)} ({error})") from None
 
 
 def name_of(item: object) -> str:
     """Return the name of an item to pack: the stem of a file; empty for others."""
-    thing = item[0] if isinstance(item, tuple) and len(item) == 2 else item
-    return Path(thing).stem if isinstance(thing, (str, os.PathLike)) else ""
+    geometry = item[0] if isinstance(item, tuple) and len(item) == 2 else item
+    return Path(geometry).stem if isinstance(geometry, (str, os.PathLike)) else ""
 
 
 def checked_name(argument: str, value: object) -> str:

@@ -19,9 +19,9 @@ def bytes_text(count: float) -> str:
     return f"{count:.1f} GiB"
 
 
-def count_text(count: int, thing: str, things: str | None = None) -> str:
+def count_text(count: int, geometry: str, geometries: str | None = None) -> str:
     """Format a number with its noun in the singular or plural."""
-    return f"{count:,} {thing if count == 1 else things or thing + 's'}"
+    return f"{count:,} {geometry if count == 1 else geometries or geometry + 's'}"
 
 
 def seconds_text(seconds: float) -> str:

@@ -192,7 +192,7 @@ def bake(
     with ExitStack() as stack:
         paths = [stack.enter_context(input_file(path, source)) for path in mesh]
         target = stack.enter_context(output_file(output, ending))
-        things: Any = [str(path) for path in paths] if len(paths) > 1 else paths[0]
+        geometries: Any = [str(path) for path in paths] if len(paths) > 1 else paths[0]
         if sparse:
             if device not in ("auto", "cpu"):
                 raise typer.BadParameter("bricks are baked on the CPU", param_hint="--device")
@@ -202,10 +202,10 @@ def bake(
             # Bricks have all distances up to their band minus half the diagonal of a voxel. A level set from them needs
             # a band that is wider by a voxel.
             reach = 4.0 if band is None else band + (ending in writers.SPARSE_ENDINGS)
-            volume = fb.bake_sparse(things, resolution, band=reach, **bricks)
+            volume = fb.bake_sparse(geometries, resolution, band=reach, **bricks)
             volume = save_field(volume, target, None, band, engine, mipmaps=mipmaps)
         else:
-            volume = fb.bake(things, resolution, band=band, device=device, **surface)
+            volume = fb.bake(geometries, resolution, band=band, device=device, **surface)
             wanted = None if encoding == "float32" else encoding
             is_texture = ending in writers.MIPMAPPED
             is_stored = ending == ".npz" or (ending in writers.BANDED and not (is_texture and wanted is None))
@@ -224,8 +224,8 @@ def merge(
     """Merge all instances of a scene into one field whose samples never exceed the distance."""
     check_output(output, ENDINGS["volume"])
     is_scene = scene.suffix.lower() in (".gltf", ".glb")
-    things = fb.load_scene(scene) if is_scene else [fb.load_mesh(scene)]
-    field = fb.merge(things, resolution, device=device, progress=err.is_terminal)
+    geometries = fb.load_scene(scene) if is_scene else [fb.load_mesh(scene)]
+    field = fb.merge(geometries, resolution, device=device, progress=err.is_terminal)
     field.save(output)
     show_rows(f"{output}", volume_rows(field))
 

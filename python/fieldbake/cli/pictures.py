@@ -86,8 +86,8 @@ def render(
     if eye is not None:
         camera = fb.Camera(eye, scene.bounds.mean(axis=0) if target is None else target, up, fov)
     elif not scene.cameras:
-        things = scene.instances[:-1] if floor else scene.instances
-        boxes = np.stack([instance.bounds for instance in things])
+        geometries = scene.instances[:-1] if floor else scene.instances
+        boxes = np.stack([instance.bounds for instance in geometries])
         bounds = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
         camera = fb.Camera.fit(bounds, up=up, fov_deg=fov, aspect=size[0] / size[1])
     frame = fb.render(
@@ -128,7 +128,7 @@ def _scene(
         for file in files
     ]
     instances = [
-        item if material is None else fb.Instance(item.thing, item.transform, material, resolution=item.resolution)
+        item if material is None else fb.Instance(item.geometry, item.transform, material, resolution=item.resolution)
         for scene in scenes
         for item in scene.instances
     ]

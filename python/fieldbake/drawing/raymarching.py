@@ -13,6 +13,7 @@ from .. import _core
 from ..baking.dense import bake
 from ..base import checks
 from ..base.errors import ArgumentError, SceneError
+from ..base.former_names import former_names
 from ..base.progress import Progress, progress_callback
 from ..merging.nested import NestedField
 from ..scaling.zarr_volume import ZarrVolume
@@ -38,8 +39,9 @@ Method = Literal["auto", "whole", "aabb", "octree"]
 PICTURE_RESOLUTION = 128
 
 
+@former_names(thing="geometry")
 def raymarch(
-    thing: Any,
+    geometry: Any,
     camera: Camera | None = None,
     *,
     size: tuple[int, int] = (512, 512),
@@ -59,7 +61,7 @@ def raymarch(
 
     Parameters
     ----------
-    thing : Volume, SparseVolume, ZarrVolume, NestedField, Shape, Scene, Quadric, list of Quadric, or a mesh
+    geometry : Volume, SparseVolume, ZarrVolume, NestedField, Shape, Scene, Quadric, list of Quadric, or a mesh
         A Scene has its own lights and materials; :func:`render` draws it with ``primary="raymarch"``. Quadrics are
         drawn in closed form, each in its own reflectance, and `object_id` is the index in the list. Meshes are baked
         first, with 128 voxels along the longest side. A ZarrVolume is drawn from the level whose voxels are about as
@@ -144,14 +146,16 @@ def raymarch(
     >>> float(frame.depth[0, 0])  # the corner of the picture shows the background
     inf
     """
-    if isinstance(thing, Scene):
+    if isinstance(geometry, Scene):
         own = {"lights": lights, "ambient": ambient, "color": color, "specular": specular, "shininess": shininess}
         for name, value in {**own, "background": background}.items():
             if value is not None:
                 raise SceneError(f"{name}: does not apply to a Scene; set it in the Scene or in a Material")
         if checks.choice("filter", filter, get_args(Filter)) != "linear":
             raise SceneError('filter: scenes are drawn with "linear" only')
-        return render(thing, camera, size=size, primary="raymarch", shadows=shadows, device=device, progress=progress)
+        return render(
+            geometry, camera, size=size, primary="raymarch", shadows=shadows, device=device, progress=progress
+        )
     checked = checked_size(size)
     checks.choice("shadows", shadows, get_args(Shadows))
     checks.choice("filter", filter, get_args(Filter))
@@ -173,19 +177,19 @@ def raymarch(
         device=device,
         progress=progress,
     )
-    if is_quadrics(thing):
-        return _draw_quadrics(check_quadrics(thing), options)
-    if isinstance(thing, Shape):
-        return _draw_shape(thing, method, options)
+    if is_quadrics(geometry):
+        return _draw_quadrics(check_quadrics(geometry), options)
+    if isinstance(geometry, Shape):
+        return _draw_shape(geometry, method, options)
     if method != "auto":
-        raise ArgumentError(f"method: {method!r} applies to shapes only, got a {type(thing).__name__}; leave it out")
-    if isinstance(thing, NestedField):
-        return _draw_nested(thing, options)
-    if isinstance(thing, ZarrVolume):
-        return _draw_zarr(thing, options)
-    if not isinstance(thing, (Volume, SparseVolume)):
-        thing = bake(thing, PICTURE_RESOLUTION, device=device, progress=progress)
-    return _draw_volume(thing, options)
+        raise ArgumentError(f"method: {method!r} applies to shapes only, got a {type(geometry).__name__}; leave it out")
+    if isinstance(geometry, NestedField):
+        return _draw_nested(geometry, options)
+    if isinstance(geometry, ZarrVolume):
+        return _draw_zarr(geometry, options)
+    if not isinstance(geometry, (Volume, SparseVolume)):
+        geometry = bake(geometry, PICTURE_RESOLUTION, device=device, progress=progress)
+    return _draw_volume(geometry, options)
 
 
 @dataclass(frozen=True)
@@ -232,7 +236,7 @@ class _Options:
     def render(self, objects: Sequence[Any], camera: Camera, primary: Primary, device: str) -> Frame:
         """Draw objects as the instances of a scene. Without a colour each keeps its own paint or reflectance."""
         material = Material(color=self.color, specular=self.specular, shininess=self.shininess)
-        instances = [Instance(thing, material=material) for thing in objects]
+        instances = [Instance(geometry, material=material) for geometry in objects]
         scene = Scene(instances, self.lights, ambient=self.ambient, background=self.background)
         return render(
             scene,

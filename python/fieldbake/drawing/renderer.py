@@ -117,7 +117,7 @@ class Renderer:
         instances = self._scene.instances
         self._core = self._scene._core(self._options.fields_of(instances), device)
         # The core has one instance for each quadric of a list.
-        self._rows = np.array([len(i.thing) if isinstance(i.thing, tuple) else 1 for i in instances])
+        self._rows = np.array([len(i.geometry) if isinstance(i.geometry, tuple) else 1 for i in instances])
         self._own = self._matrices([None] * len(instances))
         # The materials of the last frame that replaced any, and the scene of the core with them.
         self._varied: tuple[tuple[Material | None, ...], _core.Scene] | None = None

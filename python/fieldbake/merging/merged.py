@@ -25,7 +25,7 @@ from ..volumes.volume import Volume
 Method = Literal["bound", "article"]
 
 #: Voxels along the longest side of meshes and shapes that are baked, unless their instance has a resolution.
-THING_RESOLUTION = 64
+GEOMETRY_RESOLUTION = 64
 
 #: The owners of a merged field that cannot be updated.
 NOBODY = np.empty(0, np.uint32)
@@ -34,16 +34,16 @@ NOBODY = np.empty(0, np.uint32)
 class Placed(NamedTuple):
     """A volume or a list of quadrics, and its transform to the world."""
 
-    thing: Volume | tuple[Quadric, ...]
+    geometry: Volume | tuple[Quadric, ...]
     transform: NDArray[np.float64]
 
     @property
     def bounds(self) -> NDArray[np.float64]:
         """Box around the surface, (2, 3), world units."""
-        if isinstance(self.thing, tuple):
+        if isinstance(self.geometry, tuple):
             return bounds_of(self.quadrics)
         # The part of the surface box inside the box of the volume.
-        box = np.clip(self.thing.inner_bounds, self.thing.bounds[0], self.thing.bounds[1])
+        box = np.clip(self.geometry.inner_bounds, self.geometry.bounds[0], self.geometry.bounds[1])
         corners = np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
         world = corners @ self.transform[:3, :3].T + self.transform[:3, 3]
         return np.stack([world.min(axis=0), world.max(axis=0)])
@@ -51,7 +51,11 @@ class Placed(NamedTuple):
     @property
     def quadrics(self) -> list[Quadric]:
         """The quadrics of a list, transformed to the world."""
-        return [quadric.transformed(self.transform) for quadric in self.thing] if isinstance(self.thing, tuple) else []
+        return (
+            [quadric.transformed(self.transform) for quadric in self.geometry]
+            if isinstance(self.geometry, tuple)
+            else []
+        )
 
 
 class MergedField(Volume):
@@ -147,7 +151,7 @@ class MergedField(Volume):
                     f"got {checks.describe(item)}"
                 )
             index = _index(number, item[0], count)
-            if hasattr(item[1], "thing"):
+            if is_instance(item[1]):
                 placed[index] = place(f"changed[{number}]", item[1], {})
             else:
                 transform = checks.affine(f"changed[{number}]: transform", item[1], SceneError)
@@ -174,16 +178,16 @@ def merge_placed(
     quadrics: list[Quadric] = []
     # The rows of each item in the core.
     spans: list[range] = []
-    count = sum(isinstance(item.thing, Volume) for item in placed)
+    count = sum(isinstance(item.geometry, Volume) for item in placed)
     for item in placed:
-        if isinstance(item.thing, Volume):
-            number = numbers.setdefault(id(item.thing), len(numbers))
-            volumes[number] = item.thing
+        if isinstance(item.geometry, Volume):
+            number = numbers.setdefault(id(item.geometry), len(numbers))
+            volumes[number] = item.geometry
             spans.append(range(len(instances), len(instances) + 1))
             instances.append(number)
             transforms.append(item.transform)
         else:
-            spans.append(range(count + len(quadrics), count + len(quadrics) + len(item.thing)))
+            spans.append(range(count + len(quadrics), count + len(quadrics) + len(item.geometry)))
             quadrics += item.quadrics
 
     start = time.perf_counter()
@@ -232,29 +236,34 @@ def items_of(scene: Any) -> Sequence[Any]:
     return items
 
 
+def is_instance(item: object) -> bool:
+    """Whether an item has the attributes of an instance of a scene. A `trimesh.Scene` has a geometry only."""
+    return hasattr(item, "geometry") and hasattr(item, "transform")
+
+
 def place(name: str, item: Any, baked: dict[tuple[int, int], Volume]) -> Placed:
     """Make a placed field of an item; `baked` keeps the fields of meshes and shapes by identity."""
-    thing, transform, resolution = item, None, THING_RESOLUTION
-    if hasattr(item, "thing"):
-        thing, transform = item.thing, item.transform
-        resolution = getattr(item, "resolution", THING_RESOLUTION)
+    geometry, transform, resolution = item, None, GEOMETRY_RESOLUTION
+    if is_instance(item):
+        geometry, transform = item.geometry, item.transform
+        resolution = getattr(item, "resolution", GEOMETRY_RESOLUTION)
     elif (
         isinstance(item, tuple)
         and len(item) == 2
         and (isinstance(item[0], (Volume, SparseVolume, AtlasEntry, Quadric, Shape)) or not is_arrays(item))
     ):
-        thing, transform = item
+        geometry, transform = item
     matrix = np.eye(4) if transform is None else checks.affine(f"{name}: transform", transform, SceneError)
-    if is_quadrics(thing):
-        return Placed(tuple(check_quadrics(thing)), matrix)
-    if isinstance(thing, (SparseVolume, AtlasEntry)):
-        thing = thing.to_volume()
-    if isinstance(thing, Volume):
-        return Placed(thing, matrix)
-    key = (id(thing), resolution)
+    if is_quadrics(geometry):
+        return Placed(tuple(check_quadrics(geometry)), matrix)
+    if isinstance(geometry, (SparseVolume, AtlasEntry)):
+        geometry = geometry.to_volume()
+    if isinstance(geometry, Volume):
+        return Placed(geometry, matrix)
+    key = (id(geometry), resolution)
     if key not in baked:
         try:
-            baked[key] = bake(thing, resolution)
+            baked[key] = bake(geometry, resolution)
         except DeviceError:
             raise
         except Error as error:

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..base import checks
 from ..base.errors import MeshError
+from ..base.former_names import former_names
 from .gltf_materials import Document
 from .input_arrays import check_colors, check_faces, check_uv, check_vertices
 from .mesh import Mesh
@@ -102,12 +103,13 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
     return _mesh(_from_file(file), str(file))
 
 
-def as_mesh(thing: MeshLike) -> Mesh:
+@former_names(thing="geometry")
+def as_mesh(geometry: MeshLike) -> Mesh:
     """Convert an object to a Mesh; a Mesh is returned unchanged.
 
     Parameters
     ----------
-    thing : Mesh, path, trimesh.Trimesh, trimesh.Scene, (vertices, faces), or a list of those
+    geometry : Mesh, path, trimesh.Trimesh, trimesh.Scene, (vertices, faces), or a list of those
         Other possible objects are PyVista's PolyData, both triangle meshes of Open3D, meshes of meshio, and anything
         with ``tessellate(tolerance)``, such as the solids of build123d and CadQuery: those are tessellated with a chord
         error of 1e-4 of their diagonal, see `Mesh.chord_error`. Arrays may be of any library that offers ``__array__``
@@ -132,9 +134,9 @@ def as_mesh(thing: MeshLike) -> Mesh:
     >>> fb.as_mesh((corners, [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])).is_closed
     True
     """
-    if isinstance(thing, Mesh):
-        return thing
-    return _mesh(_pieces(thing, "mesh"), os.fspath(thing) if isinstance(thing, (str, os.PathLike)) else None)
+    if isinstance(geometry, Mesh):
+        return geometry
+    return _mesh(_pieces(geometry, "mesh"), os.fspath(geometry) if isinstance(geometry, (str, os.PathLike)) else None)
 
 
 def _mesh(pieces: Sequence[_Piece], path: str | None) -> Mesh:
@@ -202,31 +204,31 @@ def _joined_colors(colors: Sequence[tuple[NDArray[Any] | None, int]]) -> NDArray
     return np.concatenate([np.ones((count, 4)) if rows is None else rows.astype(np.float64) for rows, count in colors])
 
 
-def _pieces(thing: MeshLike, name: str) -> list[_Piece]:
+def _pieces(geometry: MeshLike, name: str) -> list[_Piece]:
     """Split an object into pieces; errors call it by `name`."""
-    if isinstance(thing, (str, os.PathLike)):
-        return _from_file(thing)
-    if isinstance(thing, Mesh):
-        faces = thing.faces.astype(np.int64)
-        looks = (thing.uv, list(thing.parts), thing.chord_error, thing.vertex_colors, thing.face_colors)
-        return [_Piece(thing.vertices, faces, *looks)]
-    if hasattr(thing, "graph") and hasattr(thing, "geometry"):
-        return _from_scene(thing, name)
-    if hasattr(thing, "vertices") and hasattr(thing, "faces") and not callable(thing.vertices):
-        return [_from_trimesh(thing)]
-    if isinstance(thing, (tuple, list)) and is_arrays(thing):
-        return [_Piece(check_vertices(thing[0]), check_faces(thing[1]))]
-    if isinstance(thing, tuple) and len(thing) == 2:
-        transform = checks.affine(f"{name}: transform", thing[1], MeshError)
-        return [piece.transformed(transform) for piece in _pieces(thing[0], name)]
-    if isinstance(thing, list):
-        if not thing:
+    if isinstance(geometry, (str, os.PathLike)):
+        return _from_file(geometry)
+    if isinstance(geometry, Mesh):
+        faces = geometry.faces.astype(np.int64)
+        looks = (geometry.uv, list(geometry.parts), geometry.chord_error, geometry.vertex_colors, geometry.face_colors)
+        return [_Piece(geometry.vertices, faces, *looks)]
+    if hasattr(geometry, "graph") and hasattr(geometry, "geometry"):
+        return _from_scene(geometry, name)
+    if hasattr(geometry, "vertices") and hasattr(geometry, "faces") and not callable(geometry.vertices):
+        return [_from_trimesh(geometry)]
+    if isinstance(geometry, (tuple, list)) and is_arrays(geometry):
+        return [_Piece(check_vertices(geometry[0]), check_faces(geometry[1]))]
+    if isinstance(geometry, tuple) and len(geometry) == 2:
+        transform = checks.affine(f"{name}: transform", geometry[1], MeshError)
+        return [piece.transformed(transform) for piece in _pieces(geometry[0], name)]
+    if isinstance(geometry, list):
+        if not geometry:
             raise MeshError(f"{name}: the list is empty; a surface needs at least one mesh")
-        return [piece for number, item in enumerate(thing) for piece in _pieces(item, f"{name}[{number}]")]
-    if (found := triangles_of(thing)) is not None:
+        return [piece for number, item in enumerate(geometry) for piece in _pieces(item, f"{name}[{number}]")]
+    if (found := triangles_of(geometry)) is not None:
         return [_Piece(check_vertices(found.vertices), check_faces(found.faces), chord_error=found.chord_error)]
     raise MeshError(
-        f"{name}: cannot make a mesh of {checks.describe(thing)}; give a path, a trimesh object, "
+        f"{name}: cannot make a mesh of {checks.describe(geometry)}; give a path, a trimesh object, "
         "(vertices, faces), an object of PyVista, Open3D, meshio, build123d or CadQuery, (mesh, transform), or a list "
         "of those"
     )

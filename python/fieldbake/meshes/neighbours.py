@@ -24,52 +24,52 @@ class Triangles(NamedTuple):
     chord_error: float = 0.0
 
 
-def triangles_of(thing: Any) -> Triangles | None:
+def triangles_of(geometry: Any) -> Triangles | None:
     """Read the triangles of an object of one of the libraries; None for any other object."""
-    if hasattr(thing, "triangulate") and hasattr(thing, "points") and hasattr(thing, "regular_faces"):
-        return _of_pyvista(thing)
-    if hasattr(thing, "vertex") and hasattr(thing, "triangle") and hasattr(thing.vertex, "positions"):
+    if hasattr(geometry, "triangulate") and hasattr(geometry, "points") and hasattr(geometry, "regular_faces"):
+        return _of_pyvista(geometry)
+    if hasattr(geometry, "vertex") and hasattr(geometry, "triangle") and hasattr(geometry.vertex, "positions"):
         # Open3D's tensor mesh.
-        return Triangles(_host(thing.vertex.positions), _host(thing.triangle.indices))
-    if hasattr(thing, "vertices") and hasattr(thing, "triangles") and not callable(thing.vertices):
+        return Triangles(_host(geometry.vertex.positions), _host(geometry.triangle.indices))
+    if hasattr(geometry, "vertices") and hasattr(geometry, "triangles") and not callable(geometry.vertices):
         # Open3D's legacy mesh.
-        return Triangles(np.asarray(thing.vertices), np.asarray(thing.triangles))
-    if hasattr(thing, "cells_dict") and hasattr(thing, "points"):
-        return _of_meshio(thing)
-    if hasattr(thing, "tessellate"):
-        return _of_solid(thing)
-    if hasattr(thing, "val") and hasattr(thing, "vals") and callable(thing.vals):
+        return Triangles(np.asarray(geometry.vertices), np.asarray(geometry.triangles))
+    if hasattr(geometry, "cells_dict") and hasattr(geometry, "points"):
+        return _of_meshio(geometry)
+    if hasattr(geometry, "tessellate"):
+        return _of_solid(geometry)
+    if hasattr(geometry, "val") and hasattr(geometry, "vals") and callable(geometry.vals):
         # A CadQuery workplane: all solids on its stack.
-        return _joined([_of_solid(solid) for solid in thing.vals() if hasattr(solid, "tessellate")])
+        return _joined([_of_solid(solid) for solid in geometry.vals() if hasattr(solid, "tessellate")])
     return None
 
 
-def _of_pyvista(thing: Any) -> Triangles:
+def _of_pyvista(geometry: Any) -> Triangles:
     """Read PolyData; PyVista triangulates polygons."""
-    surface = thing if thing.is_all_triangles else thing.triangulate()
+    surface = geometry if geometry.is_all_triangles else geometry.triangulate()
     return Triangles(np.asarray(surface.points), np.asarray(surface.regular_faces).reshape(-1, 3))
 
 
-def _of_meshio(thing: Any) -> Triangles:
+def _of_meshio(geometry: Any) -> Triangles:
     """A mesh of meshio; its cells are triangles, quadrilaterals and polygons."""
     faces = []
-    for kind, cells in thing.cells_dict.items():
+    for kind, cells in geometry.cells_dict.items():
         corners = np.asarray(cells)
         if kind in ("triangle", "quad", "polygon") or kind.startswith("polygon"):
             # A fan around the first corner.
             faces += [corners[:, [0, i, i + 1]] for i in range(1, corners.shape[1] - 1)]
         elif kind not in ("vertex", "line"):
             raise MeshError(f"mesh: has cells of the kind {kind!r}; give its surface, as triangles, quads or polygons")
-    points = np.asarray(thing.points)
+    points = np.asarray(geometry.points)
     if points.ndim == 2 and points.shape[1] == 2:
         points = np.column_stack([points, np.zeros(len(points))])
     return Triangles(points, np.concatenate(faces) if faces else np.empty((0, 3), np.int64))
 
 
-def _of_solid(thing: Any) -> Triangles:
+def _of_solid(geometry: Any) -> Triangles:
     """Read any object with ``tessellate(tolerance)``, which returns vertices and triples of their rows."""
-    tolerance = _diagonal(thing) * CHORD_SHARE or CHORD_WITHOUT_BOX
-    vertices, faces = thing.tessellate(tolerance)
+    tolerance = _diagonal(geometry) * CHORD_SHARE or CHORD_WITHOUT_BOX
+    vertices, faces = geometry.tessellate(tolerance)
     rows = np.array([_coordinates(vertex) for vertex in vertices], np.float64).reshape(-1, 3)
     return Triangles(rows, np.asarray(faces, np.int64).reshape(-1, 3), tolerance)
 
@@ -85,10 +85,10 @@ def _joined(parts: list[Triangles]) -> Triangles | None:
     )
 
 
-def _diagonal(thing: Any) -> float:
+def _diagonal(geometry: Any) -> float:
     """Diagonal of the box of a solid; 0 if it has no box."""
     for name in ("bounding_box", "BoundingBox"):
-        if callable(method := getattr(thing, name, None)):
+        if callable(method := getattr(geometry, name, None)):
             diagonal = getattr(method(), "diagonal", getattr(method(), "DiagonalLength", 0.0))
             return float(diagonal)
     return 0.0

@@ -131,34 +131,34 @@ class SceneBuilder:
         # Looks by mesh and material.
         looks_of: dict[tuple[int, int], tuple[list[Look], Sheet]] = {}
         for number, instance in enumerate(instances):
-            thing = instance.thing
-            if isinstance(thing, tuple):
-                if id(thing) not in self._quadrics:
-                    self._quadrics[id(thing)] = field_cache.of_quadrics(thing)
-                for quadric, field in zip(thing, self._quadrics[id(thing)], strict=True):
+            geometry = instance.geometry
+            if isinstance(geometry, tuple):
+                if id(geometry) not in self._quadrics:
+                    self._quadrics[id(geometry)] = field_cache.of_quadrics(geometry)
+                for quadric, field in zip(geometry, self._quadrics[id(geometry)], strict=True):
                     red, green, blue = quadric.reflectance.tolist()
                     part = Part("quadric", color=(red, green, blue, 1.0))
                     rows.add(number, instance, None, field, [Look.of(instance.material, part)])
-            elif isinstance(thing, Mesh):
+            elif isinstance(geometry, Mesh):
                 # A material with a colour or a texture replaces those of the mesh.
                 material = instance.material
                 keeps_colors = material is None or (material.color is None and material.texture is None)
-                is_colored = keeps_colors and (thing.vertex_colors is not None or thing.face_colors is not None)
-                key = id(thing), id(material)
+                is_colored = keeps_colors and (geometry.vertex_colors is not None or geometry.face_colors is not None)
+                key = id(geometry), id(material)
                 if key not in looks_of:
-                    looks = [Look.of(material, part, is_colored) for part in thing.parts]
-                    looks_of[key] = looks, self._sheet(thing, looks)
+                    looks = [Look.of(material, part, is_colored) for part in geometry.parts]
+                    looks_of[key] = looks, self._sheet(geometry, looks)
                 looks, sheet = looks_of[key]
                 if fields.of_solids and not sheet.is_traced:
                     sheet = self._with_thin_walls(number, instance, looks, sheet, fields)
                 is_baked = fields.of_sheets if sheet.is_traced else fields.of_solids
-                baked = self._baked(thing, instance.resolution, device, looks, sheet) if is_baked else None
-                rows.add(number, instance, self._mesh(thing, is_colored), baked, looks, sheet)
+                baked = self._baked(geometry, instance.resolution, device, looks, sheet) if is_baked else None
+                rows.add(number, instance, self._mesh(geometry, is_colored), baked, looks, sheet)
             else:
                 looks = [Look.of(instance.material, Part(color=PLAIN))]
-                if id(thing) not in self._fields:
-                    self._fields[id(thing)] = field_cache.of_thing(thing)
-                rows.add(number, instance, None, self._fields[id(thing)], looks)
+                if id(geometry) not in self._fields:
+                    self._fields[id(geometry)] = field_cache.of_geometry(geometry)
+                rows.add(number, instance, None, self._fields[id(geometry)], looks)
         if self._first is None:
             self._first = rows.table.used
         self._textures = self._first | rows.table.used
@@ -183,7 +183,7 @@ class SceneBuilder:
         self, number: int, instance: Instance, looks: Sequence[Look], sheet: Sheet, fields: Fields
     ) -> Sheet:
         """Make a mesh a sheet for light if its field would lose thin walls; warn where the field is needed."""
-        mesh, resolution = instance.thing, instance.resolution
+        mesh, resolution = instance.geometry, instance.resolution
         assert isinstance(mesh, Mesh)
         key = id(mesh), resolution
         is_new = key not in self._needed

@@ -109,30 +109,32 @@ def of_mesh(mesh: Mesh, resolution: int, device: str, looks: Sequence[Look] | No
     return found
 
 
-def of_thing(thing: Volume | SparseVolume | NestedField | AtlasEntry | Shape) -> _core.SceneField:
+def of_geometry(geometry: Volume | SparseVolume | NestedField | AtlasEntry | Shape) -> _core.SceneField:
     """Field of an object that has one, converted for the core once."""
-    if isinstance(thing, NestedField):
-        return _core.SceneField.nested(levels_of(thing))
+    if isinstance(geometry, NestedField):
+        return _core.SceneField.nested(levels_of(geometry))
     # The key of an entry includes the current contents of its atlas.
-    key: tuple[object, ...] = thing._key if isinstance(thing, AtlasEntry) else (type(thing), id(thing))
+    key: tuple[object, ...] = geometry._key if isinstance(geometry, AtlasEntry) else (type(geometry), id(geometry))
     found = _find(key)
     if found is not None:
         return found
     # The cache keeps the object, so that its id is not reused.
-    if isinstance(thing, AtlasEntry):
-        volume = thing.to_volume()
-        return _keep(key, _field(volume), volume.nbytes, thing)
-    if isinstance(thing, Shape):
-        return _keep(key, _core.SceneField.shape(thing._core), SHAPE_BYTES * thing._core.evaluated_leaves, thing)
-    if isinstance(thing, SparseVolume):
-        inner = (checks.triple(corner) for corner in thing.inner_bounds)
-        return _keep(key, _core.SceneField.sparse(thing._core_field, *inner), thing.nbytes, thing)
-    return _keep(key, _field(thing), thing.nbytes, thing)
+    if isinstance(geometry, AtlasEntry):
+        volume = geometry.to_volume()
+        return _keep(key, _field(volume), volume.nbytes, geometry)
+    if isinstance(geometry, Shape):
+        return _keep(
+            key, _core.SceneField.shape(geometry._core), SHAPE_BYTES * geometry._core.evaluated_leaves, geometry
+        )
+    if isinstance(geometry, SparseVolume):
+        inner = (checks.triple(corner) for corner in geometry.inner_bounds)
+        return _keep(key, _core.SceneField.sparse(geometry._core_field, *inner), geometry.nbytes, geometry)
+    return _keep(key, _field(geometry), geometry.nbytes, geometry)
 
 
 def levels_of(field: Volume | NestedField) -> list[_core.SceneField]:
     """List the fields of the levels of a nested field, finest first, or the one field of a volume."""
-    return [of_thing(level) for level in (field._joined_levels() if isinstance(field, NestedField) else (field,))]
+    return [of_geometry(level) for level in (field._joined_levels() if isinstance(field, NestedField) else (field,))]
 
 
 def of_quadrics(quadrics: Sequence[Quadric]) -> list[_core.SceneField]:

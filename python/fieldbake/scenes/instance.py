@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..atlases.atlas import AtlasEntry
 from ..base import checks
 from ..base.errors import ArgumentError, SceneError
+from ..base.former_names import former_names
 from ..merging.nested import NestedField
 from ..meshes.convert import as_mesh
 from ..meshes.mesh import Mesh
@@ -22,19 +23,20 @@ from ..volumes.volume import Volume
 from .materials import Material
 
 #: Objects that a scene can hold. Meshes are rasterised; rays find the hits of the others.
-Thing = Mesh | Volume | SparseVolume | NestedField | AtlasEntry | Shape | tuple[Quadric, ...]
+Geometry = Mesh | Volume | SparseVolume | NestedField | AtlasEntry | Shape | tuple[Quadric, ...]
 
 #: Voxels along the longest side of a mesh instance's field.
 INSTANCE_RESOLUTION = 64
 
 
+@former_names(thing="geometry")
 @dataclass(frozen=True, eq=False)
 class Instance:
     """An object in a scene.
 
     Parameters
     ----------
-    thing : Mesh, Volume, SparseVolume, NestedField, ``atlas[i]``, Shape, Quadric, list of Quadric, or any mesh
+    geometry : Mesh, Volume, SparseVolume, NestedField, ``atlas[i]``, Shape, Quadric, list of Quadric, or any mesh
         A mesh is rasterised. Its shadow is that of its distance field, which is baked when needed and kept. A flat
         mesh, an open sheet and a mesh with a mask or a translucent texture cast the shadow of their triangles. Rays
         intersect all other objects directly: a volume at the roots of its cells, a shape at those of its parts
@@ -73,7 +75,7 @@ class Instance:
     [[-0.995, 0.005, -0.175], [0.995, 1.995, 0.175]]
     """
 
-    thing: Any
+    geometry: Any
     transform: ArrayLike | None = None
     material: Material | None = None
     casts_shadow: bool = True
@@ -85,7 +87,7 @@ class Instance:
         def put(name: str, value: object) -> None:
             object.__setattr__(self, name, value)
 
-        usual = self.thing.transform if isinstance(self.thing, AtlasEntry) else np.eye(4)
+        usual = self.geometry.transform if isinstance(self.geometry, AtlasEntry) else np.eye(4)
         matrix = usual if self.transform is None else checks.affine("transform", self.transform, SceneError)
         put("transform", checks.frozen(matrix))
         if self.material is not None and not isinstance(self.material, Material):
@@ -99,7 +101,7 @@ class Instance:
         if self.opacity > 1:
             raise SceneError(f"opacity: must be from 0 to 1, got {self.opacity:g}")
         put("resolution", checks.integer("resolution", self.resolution, least=4, most=1024, error=SceneError))
-        put("thing", _thing(self.thing))
+        put("geometry", _geometry(self.geometry))
 
     @property
     def bounds(self) -> NDArray[np.float64]:
@@ -108,30 +110,30 @@ class Instance:
 
     def bounds_at(self, transform: NDArray[np.float64]) -> NDArray[np.float64]:
         """Box around the surface, (2, 3), world units, under another transform, (4, 4)."""
-        box = _box_of(self.thing)
+        box = _box_of(self.geometry)
         corners = np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
         placed = corners @ transform[:3, :3].T + transform[:3, 3]
         return np.stack([placed.min(axis=0), placed.max(axis=0)])
 
     def __repr__(self) -> str:
-        return f"Instance({self.thing!r})"
+        return f"Instance({self.geometry!r})"
 
 
-def _thing(thing: Any) -> Thing:
+def _geometry(geometry: Any) -> Geometry:
     """Convert an object to a form that the core can draw."""
-    if isinstance(thing, Shape):
+    if isinstance(geometry, Shape):
         # A shape without bounds raises an error that names the leaf.
-        _ = thing.bounds
-        return thing
-    if isinstance(thing, ZarrVolume):
-        return thing.picture_field()
-    if isinstance(thing, (Mesh, Volume, SparseVolume, NestedField, AtlasEntry)):
-        return thing
-    return tuple(check_quadrics(thing)) if is_quadrics(thing) else as_mesh(thing)
+        _ = geometry.bounds
+        return geometry
+    if isinstance(geometry, ZarrVolume):
+        return geometry.picture_field()
+    if isinstance(geometry, (Mesh, Volume, SparseVolume, NestedField, AtlasEntry)):
+        return geometry
+    return tuple(check_quadrics(geometry)) if is_quadrics(geometry) else as_mesh(geometry)
 
 
-def _box_of(thing: Thing) -> NDArray[np.float64]:
+def _box_of(geometry: Geometry) -> NDArray[np.float64]:
     """Box around the surface, (2, 3), in the object's own coordinates."""
-    if isinstance(thing, tuple):
-        return bounds_of(thing)
-    return thing.bounds if isinstance(thing, (Mesh, Shape)) else thing.inner_bounds
+    if isinstance(geometry, tuple):
+        return bounds_of(geometry)
+    return geometry.bounds if isinstance(geometry, (Mesh, Shape)) else geometry.inner_bounds

@@ -42,3 +42,20 @@ def axis_of(name: str, axis: Axis) -> list[float]:
             raise ShapeError(f'{name}: must be "x", "y", "z" or a vector, got {checks.describe(axis)}')
         return list(AXES[axis])
     return numbers(name, axis, 3)
+
+
+def per_unit_deg(angle: float | None, length_name: str, length: float | None, *, turn_deg: float) -> float:
+    """Check the angle of a deformation per world unit, degrees.
+
+    It is given as `per_unit_deg`, or as the length along which space turns by `turn_deg`. `length_name` is the name of
+    that option.
+    """
+    if (angle is None) == (length is None):
+        count = "none" if angle is None else "both"
+        raise ShapeError(f"per_unit_deg, {length_name}: exactly one of the two must be given, got {count}")
+    if length is None:
+        return number("per_unit_deg", angle)
+    checked = number(length_name, length)
+    if checked == 0:
+        raise ShapeError(f"{length_name}: must not be 0; per_unit_deg=0 leaves the shape as it is")
+    return number(length_name, turn_deg / checked)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from .. import _core
 from ..base import checks
 from ..base.errors import ShapeError
+from ..base.former_names import former_names
 from .arguments import number, numbers
 from .shape import Shape, combine
 
@@ -142,9 +143,10 @@ class Profile:
         x, y = numbers("offset", offset, 2)
         return Profile._of(self._tree.moved((x, y)))
 
-    def rotate(self, degrees: float) -> Profile:
+    @former_names(degrees="angle_deg")
+    def rotate(self, angle_deg: float) -> Profile:
         """Rotate the profile counter-clockwise about the origin by an angle in degrees."""
-        return Profile._of(self._tree.rotated(number("degrees", degrees)))
+        return Profile._of(self._tree.rotated(number("angle_deg", angle_deg)))
 
     def scale(self, factor: float) -> Profile:
         """Scale the profile about the origin by the same factor along both axes."""

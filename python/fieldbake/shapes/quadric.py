@@ -426,10 +426,10 @@ def check_quadrics(quadrics: Any) -> Sequence[Quadric]:
     return quadrics
 
 
-def is_quadrics(thing: Any) -> bool:
+def is_quadrics(geometry: Any) -> bool:
     """Whether the value is a quadric or a non-empty sequence of quadrics."""
-    return isinstance(thing, Quadric) or (
-        isinstance(thing, Sequence) and len(thing) > 0 and all(isinstance(item, Quadric) for item in thing)
+    return isinstance(geometry, Quadric) or (
+        isinstance(geometry, Sequence) and len(geometry) > 0 and all(isinstance(item, Quadric) for item in geometry)
     )
 
 

@@ -111,8 +111,8 @@ MODIFIERS: dict[str, Callable[..., str]] = {
     "mirror": lambda *axis: _call("mirror", _axis(axis)),
     "reflect": lambda *axis: _call("reflect", _axis(axis)),
     "repeat": lambda *n: _call("repeat", _vector(n[:3]), _vector(n[3:])),
-    "twist": lambda degrees: _call("twist", degrees),
-    "bend": lambda degrees: _call("bend", degrees),
+    "twist": lambda degrees: _call("twist", f"per_unit_deg={_number(degrees)}"),
+    "bend": lambda degrees: _call("bend", f"per_unit_deg={_number(degrees)}"),
     "paint": lambda *color: _call("paint", _vector(color)),
     "paint-over": lambda *color: _call("paint", _vector(color), "over=True"),
 }

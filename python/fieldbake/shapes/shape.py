@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Sequence
 from typing import Any, Literal
@@ -13,6 +14,7 @@ from .. import _core
 from .._core import Shape as CoreShape
 from ..base import checks
 from ..base.errors import MeshError, ShapeError
+from ..base.former_names import former_names
 from ..base.grid import Resolution, check_count, make_grid
 from ..base.progress import Progress, part, watched
 from ..base.viewable import Viewable
@@ -148,15 +150,16 @@ class Shape(Viewable):
         """Move the shape by a vector (3,), world units."""
         return self._changed("translate", *arguments.numbers("offset", offset, 3))
 
-    def rotate(self, axis: Axis, degrees: float) -> Shape:
+    @former_names(degrees="angle_deg")
+    def rotate(self, axis: Axis, angle_deg: float) -> Shape:
         """Rotate about ``"x"``, ``"y"``, ``"z"`` or a vector (3,) through the origin, right-handed, by degrees."""
-        swapped: object = degrees
+        swapped: object = angle_deg
         if isinstance(swapped, str) or (np.ndim(axis) == 0 and not isinstance(axis, str)):
             raise ShapeError(
-                "axis: rotate(axis, degrees) takes the axis first, "
-                f"got rotate({checks.describe(axis)}, {checks.describe(degrees)})"
+                "axis: rotate(axis, angle_deg) takes the axis first, "
+                f"got rotate({checks.describe(axis)}, {checks.describe(angle_deg)})"
             )
-        return self._changed("rotate", *arguments.axis_of("axis", axis), arguments.number("degrees", degrees))
+        return self._changed("rotate", *arguments.axis_of("axis", axis), arguments.number("angle_deg", angle_deg))
 
     def orient(self, axis: str | Sequence[float]) -> Shape:
         """Rotate the z axis of the shape to ``"x"``, ``"-x"``, ... or a vector, by the smallest angle."""
@@ -234,13 +237,65 @@ class Shape(Viewable):
         x, y, z = arguments.numbers("size", size, 3)
         return self._changed("elongate", x / 2, y / 2, z / 2)
 
-    def twist(self, degrees: float) -> Shape:
-        """Twist about z by `degrees` per world unit of z. The field is divided by the largest stretch of space."""
-        return self._changed("twist", arguments.number("degrees", degrees))
+    @former_names(
+        "per_unit_deg= (degrees per world unit of z) or pitch= (world units of z per turn)",
+        degrees="per_unit_deg or pitch",
+    )
+    def twist(self, *, per_unit_deg: float | None = None, pitch: float | None = None) -> Shape:
+        """Twist about z, right-handed. The field is divided by the largest stretch of space.
 
-    def bend(self, degrees: float) -> Shape:
-        """Bend about z by `degrees` per world unit of x. The field is divided by the largest stretch of space."""
-        return self._changed("bend", arguments.number("degrees", degrees))
+        Parameters
+        ----------
+        per_unit_deg : float
+            Angle of the twist per world unit of z, degrees. Either this or `pitch` must be given.
+        pitch : float
+            Length of a full turn along z, world units, not 0; a negative one is left-handed.
+
+        Raises
+        ------
+        ShapeError
+            For none or both of the two, or a value out of range.
+
+        Examples
+        --------
+        >>> import fieldbake as fb
+        >>> fb.box((1, 1, 4)).twist(pitch=8) == fb.box((1, 1, 4)).twist(per_unit_deg=45)
+        True
+        """
+        return self._changed("twist", arguments.per_unit_deg(per_unit_deg, "pitch", pitch, turn_deg=360.0))
+
+    @former_names(
+        "per_unit_deg= (degrees per world unit of x) or radius= (world units)", degrees="per_unit_deg or radius"
+    )
+    def bend(self, *, per_unit_deg: float | None = None, radius: float | None = None) -> Shape:
+        """Bend about z. The field is divided by the largest stretch of space.
+
+        Parameters
+        ----------
+        per_unit_deg : float
+            Angle of the bend per world unit of x, degrees. Either this or `radius` must be given.
+        radius : float
+            Distance along x in which the angle grows by one radian, world units, not 0. A negative one bends the other
+            way.
+
+        Raises
+        ------
+        ShapeError
+            For none or both of the two, or a value out of range.
+
+        Notes
+        -----
+        Each point is rotated about z by an angle in proportion to its own x. The x axis becomes a curve through the
+        origin and not a circle: its radius of curvature there is half of `radius`.
+
+        Examples
+        --------
+        >>> import fieldbake as fb
+        >>> bent = fb.box((4, 0.4, 0.4)).bend(radius=2)
+        >>> bent.exact
+        False
+        """
+        return self._changed("bend", arguments.per_unit_deg(per_unit_deg, "radius", radius, turn_deg=math.degrees(1)))
 
     # --- colour
 
@@ -493,14 +548,9 @@ def _from_sexpr(text: str) -> Shape:
 
 
 def combine(op: str, shapes: Iterable[object], *, k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """Combine shapes from the left; `op` is "union", "intersection", "difference" or "xor". Lists are flattened."""
-    flat: list[object] = []
-    for item in shapes:
-        flat.extend(item if isinstance(item, (list, tuple)) else [item])
-    if not flat:
-        raise ShapeError("shapes: needs at least one shape")
+    """Combine shapes from the left; `op` is "union", "intersection", "difference" or "xor"."""
     checked = [
-        checked_shape(f"shapes[{number}]", operand_of(shape) or shape)._core for number, shape in enumerate(flat)
+        checked_shape(f"shapes[{number}]", operand_of(shape) or shape)._core for number, shape in enumerate(shapes)
     ]
     return Shape._wrap(_core.Shape.combine(op, checked, arguments.number("k", k), arguments.number("chamfer", chamfer)))
 
@@ -515,9 +565,13 @@ def operand_of(value: object) -> Shape | None:
     return None
 
 
-def all_shapes(things: object) -> bool:
+def all_shapes(geometries: object) -> bool:
     """Whether the value is a non-empty sequence of shapes, which is baked as their union."""
-    return isinstance(things, Sequence) and len(things) > 0 and all(isinstance(thing, Shape) for thing in things)
+    return (
+        isinstance(geometries, Sequence)
+        and len(geometries) > 0
+        and all(isinstance(geometry, Shape) for geometry in geometries)
+    )
 
 
 def checked_shape(name: str, value: object) -> Shape:

@@ -190,7 +190,7 @@ class Content:
         }
 
 
-def content_of(thing: Any, camera: Camera | None, encoding: str, size: tuple[int, int]) -> Content:
+def content_of(geometry: Any, camera: Camera | None, encoding: str, size: tuple[int, int]) -> Content:
     """The content of a view of any object that can be viewed.
 
     Raises
@@ -201,51 +201,50 @@ def content_of(thing: Any, camera: Camera | None, encoding: str, size: tuple[int
     aspect = size[0] / size[1]
     if camera is not None:
         check_perspective(camera)
-    if isinstance(thing, Mesh):
-        volume = bake(thing, PICTURE_RESOLUTION)
+    if isinstance(geometry, Mesh):
+        volume = bake(geometry, PICTURE_RESOLUTION)
         content = content_of(volume, camera, encoding, size)
-        records.add_mesh(content.placed[0].record, thing)
-        content.title = f"Mesh, {len(thing.faces):,} faces, {_drawn_by(volume)}"
-        content.remarks = _remarks([thing])
+        records.add_mesh(content.placed[0].record, geometry)
+        content.title = f"Mesh, {len(geometry.faces):,} faces, {_drawn_by(volume)}"
+        content.remarks = _remarks([geometry])
         return content
-    if isinstance(thing, ZarrVolume):
-        return content_of(thing.picture_field(most=PAGE_BYTES), camera, encoding, size)
-    if isinstance(thing, Scene):
-        return _of_scene(thing, camera, encoding, size)
-    if isinstance(thing, Atlas):
-        content = _of_scene(_entries_scene(thing), camera, encoding, size)
+    if isinstance(geometry, ZarrVolume):
+        return content_of(geometry.picture_field(most=PAGE_BYTES), camera, encoding, size)
+    if isinstance(geometry, Scene):
+        return _of_scene(geometry, camera, encoding, size)
+    if isinstance(geometry, Atlas):
+        content = _of_scene(_entries_scene(geometry), camera, encoding, size)
         content.title = f"Atlas of {len(content.placed)} volumes"
-        content.pages = pages_of(thing)
-        for placed, index in zip(content.placed, thing.indices, strict=True):
-            placed.name = thing.names[index] or f"volume {index}"
+        content.pages = pages_of(geometry)
+        for placed, index in zip(content.placed, geometry.indices, strict=True):
+            placed.name = geometry.names[index] or f"volume {index}"
         return content
-    if isinstance(thing, Quadric):
-        content = _of_scene(Scene([thing]), camera, encoding, size)
-        content.title, content.hemisphere, content.drawn = "Quadric", True, thing
+    if isinstance(geometry, Quadric):
+        content = _of_scene(Scene([geometry]), camera, encoding, size)
+        content.title, content.hemisphere, content.drawn = "Quadric", True, geometry
         return content
-    functions = _functions([thing])
-    if isinstance(thing, Shape):
-        drawn: Any = thing
-        bounds, title = thing.bounds, "Shape"
+    functions = _functions([geometry])
+    if isinstance(geometry, Shape):
+        drawn: Any = geometry
+        bounds, title = geometry.bounds, "Shape"
         if functions[0] is None:
-            drawn = bake(thing, SHAPE_RESOLUTION)
+            drawn = bake(geometry, SHAPE_RESOLUTION)
             record = records.of_volume(drawn, encoding)
-            title = f"Shape, {thing._core.leaf_count:,} leaves, {_drawn_by(drawn)}"
+            title = f"Shape, {geometry._core.leaf_count:,} leaves, {_drawn_by(drawn)}"
         else:
-            record = records.of_shape(thing, functions[0], records.SHAPE_BIAS)
-    elif isinstance(thing, SparseVolume):
-        record, bounds, drawn = records.of_sparse(thing, encoding), thing.inner_bounds, thing
-        title = (
-            f"Sparse volume {_shape_text(thing.resolution)}, {records.ENCODINGS[int(record.numbers[records.ENCODING])]}"
-        )
-    elif isinstance(thing, Volume):
-        record, bounds, drawn = records.of_volume(thing, encoding), thing.inner_bounds, thing
-        title = f"Volume {_shape_text(thing.resolution)}, {records.ENCODINGS[int(record.numbers[records.ENCODING])]}"
+            record = records.of_shape(geometry, functions[0], records.SHAPE_BIAS)
+    elif isinstance(geometry, SparseVolume):
+        record, bounds, drawn = records.of_sparse(geometry, encoding), geometry.inner_bounds, geometry
+        stored = records.ENCODINGS[int(record.numbers[records.ENCODING])]
+        title = f"Sparse volume {_shape_text(geometry.resolution)}, {stored}"
+    elif isinstance(geometry, Volume):
+        record, bounds, drawn = records.of_volume(geometry, encoding), geometry.inner_bounds, geometry
+        title = f"Volume {_shape_text(geometry.resolution)}, {records.ENCODINGS[int(record.numbers[records.ENCODING])]}"
     else:
-        raise SceneError(f"{checks.describe(thing)} has no view; bake it, or put it in a Scene")
+        raise SceneError(f"{checks.describe(geometry)} has no view; bake it, or put it in a Scene")
     placed = Placed(record, np.eye(4), PLAIN[:3], title)
     view = camera or Camera.fit(bounds, aspect=aspect)
-    shapes = [thing] if isinstance(thing, Shape) else []
+    shapes = [geometry] if isinstance(geometry, Shape) else []
     return Content(title, [placed], shapes, np.asarray(bounds, dtype=np.float64), view, size, drawn=drawn)
 
 
@@ -257,19 +256,19 @@ def check_perspective(camera: Camera) -> Camera:
 
 
 def _of_scene(scene: Scene, camera: Camera | None, encoding: str, size: tuple[int, int]) -> Content:
-    things = [_field_of(instance) for instance in scene.instances]
-    found = iter(_functions([thing for group in things for thing in group]))
+    geometries = [_field_of(instance) for instance in scene.instances]
+    found = iter(_functions([geometry for group in geometries for geometry in group]))
     known: dict[int, Record] = {}
     placed = []
-    for number, (instance, group) in enumerate(zip(scene.instances, things, strict=True)):
-        for thing in group:
+    for number, (instance, group) in enumerate(zip(scene.instances, geometries, strict=True)):
+        for geometry in group:
             function = next(found)
-            if id(thing) not in known:
-                known[id(thing)] = _record(thing, function, encoding)
-                if isinstance(instance.thing, Mesh):
-                    records.add_mesh(known[id(thing)], instance.thing)
-            placed.append(_placed(instance, number, thing, known[id(thing)]))
-            if isinstance(thing, Shape) and function is None:
+            if id(geometry) not in known:
+                known[id(geometry)] = _record(geometry, function, encoding)
+                if isinstance(instance.geometry, Mesh):
+                    records.add_mesh(known[id(geometry)], instance.geometry)
+            placed.append(_placed(instance, number, geometry, known[id(geometry)]))
+            if isinstance(geometry, Shape) and function is None:
                 placed[-1].name = f"Shape, drawn by its field of {SHAPE_RESOLUTION} voxels along the longest side"
     own = next((camera for camera in scene.cameras if camera.height is None), None)
     if own is not None and _is_far(own, scene.bounds, size[0] / size[1]):
@@ -285,7 +284,7 @@ def _of_scene(scene: Scene, camera: Camera | None, encoding: str, size: tuple[in
     return Content(
         f"Scene of {len(scene.instances)} instances" if len(scene.instances) > 1 else "Scene",
         placed,
-        [thing for group in things for thing in group if isinstance(thing, Shape)],
+        [geometry for group in geometries for geometry in group if isinstance(geometry, Shape)],
         scene.bounds,
         view,
         size,
@@ -293,7 +292,7 @@ def _of_scene(scene: Scene, camera: Camera | None, encoding: str, size: tuple[in
         ambient=mean_of(scene.ambient),
         background=scene._background,
         hemisphere=False,
-        remarks=_remarks([instance.thing for instance in scene.instances if isinstance(instance.thing, Mesh)]),
+        remarks=_remarks([instance.geometry for instance in scene.instances if isinstance(instance.geometry, Mesh)]),
         drawn=scene,
     )
 
@@ -326,35 +325,35 @@ def _remarks(meshes: Sequence[Mesh]) -> list[str]:
 
 def _field_of(instance: Instance) -> list[Any]:
     """The fields of an instance; a mesh has the one of its shadows."""
-    thing = instance.thing
-    if isinstance(thing, Mesh):
-        looks = [Look.of(instance.material, part) for part in thing.parts]
-        return [field_cache.bake_for_scene(thing, instance.resolution, looks=looks)]
-    if isinstance(thing, AtlasEntry):
-        return [thing.to_volume()]
-    if isinstance(thing, tuple):
-        return list(thing)
-    if not isinstance(thing, (Volume, SparseVolume, Shape)):
-        raise SceneError(f"a view has no {type(thing).__name__}; put one of its levels into the Scene")
-    return [thing]
+    geometry = instance.geometry
+    if isinstance(geometry, Mesh):
+        looks = [Look.of(instance.material, part) for part in geometry.parts]
+        return [field_cache.bake_for_scene(geometry, instance.resolution, looks=looks)]
+    if isinstance(geometry, AtlasEntry):
+        return [geometry.to_volume()]
+    if isinstance(geometry, tuple):
+        return list(geometry)
+    if not isinstance(geometry, (Volume, SparseVolume, Shape)):
+        raise SceneError(f"a view has no {type(geometry).__name__}; put one of its levels into the Scene")
+    return [geometry]
 
 
-def _record(thing: Any, function: Any, encoding: str) -> Record:
-    if isinstance(thing, Quadric):
-        return records.of_quadric(thing)
-    if isinstance(thing, SparseVolume):
-        return records.of_sparse(thing, encoding)
-    if isinstance(thing, Shape):
+def _record(geometry: Any, function: Any, encoding: str) -> Record:
+    if isinstance(geometry, Quadric):
+        return records.of_quadric(geometry)
+    if isinstance(geometry, SparseVolume):
+        return records.of_sparse(geometry, encoding)
+    if isinstance(geometry, Shape):
         if function is not None:
-            return records.of_shape(thing, function, records.SCENE_BIAS)
-        thing = bake(thing, SHAPE_RESOLUTION)
-    return records.of_volume(thing, encoding)
+            return records.of_shape(geometry, function, records.SCENE_BIAS)
+        geometry = bake(geometry, SHAPE_RESOLUTION)
+    return records.of_volume(geometry, encoding)
 
 
-def _placed(instance: Instance, number: int, thing: Any, record: Record) -> Placed:
+def _placed(instance: Instance, number: int, geometry: Any, record: Record) -> Placed:
     material = instance.material or Material()
-    if isinstance(instance.thing, Mesh):
-        part = instance.thing.parts[0]
+    if isinstance(instance.geometry, Mesh):
+        part = instance.geometry.parts[0]
     else:
         red, green, blue = record.color or PLAIN[:3]
         part = Part("own", color=(red, green, blue, 1.0))
@@ -366,7 +365,7 @@ def _placed(instance: Instance, number: int, thing: Any, record: Record) -> Plac
         record,
         np.asarray(instance.transform, dtype=np.float64),
         look.color[:3],
-        type(thing).__name__,
+        type(geometry).__name__,
         specular=material.specular,
         shininess=material.shininess,
         emission=look.emission,
@@ -391,12 +390,12 @@ def _entries_scene(atlas: Atlas) -> Scene:
     return Scene(instances)
 
 
-def _functions(things: Sequence[Any]) -> list[Any]:
-    """One entry for each thing: the function of a shape; None for a shape without one, and for everything else."""
-    shapes = [thing for thing in things if isinstance(thing, Shape)]
+def _functions(geometries: Sequence[Any]) -> list[Any]:
+    """One entry for each geometry: the function of a shape; None for a shape without one, and for everything else."""
+    shapes = [geometry for geometry in geometries if isinstance(geometry, Shape)]
     _, functions = _core.viewer_shader("wgsl", (True, False, False, False), None, [shape._core for shape in shapes])
     found = iter(functions)
-    return [next(found) if isinstance(thing, Shape) else None for thing in things]
+    return [next(found) if isinstance(geometry, Shape) else None for geometry in geometries]
 
 
 def _instance_data(item: Placed, row: list[float], largest_error: float | None) -> dict[str, Any]:

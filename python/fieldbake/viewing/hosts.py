@@ -35,36 +35,38 @@ ENCODINGS = ("snorm8", "float16", "float32")
 LARGE_PAGE = 5_000_000
 
 
-def checked_content(thing: Any, camera: Camera | None, encoding: str, size: tuple[int, int]) -> Content:
+def checked_content(geometry: Any, camera: Camera | None, encoding: str, size: tuple[int, int]) -> Content:
     """The content of a view, its options checked."""
     checks.choice("encoding", encoding, ENCODINGS)
     if camera is not None and not isinstance(camera, Camera):
         raise SceneError(f"camera: must be a Camera, got {checks.describe(camera)}; see Camera.from_pose")
-    return content_of(thing, camera, encoding, checked_size(size))
+    return content_of(geometry, camera, encoding, checked_size(size))
 
 
-def picture(thing: Any) -> bytes | None:
+def picture(geometry: Any) -> bytes | None:
     """The picture of an object for notebooks, PNG; None for a field without a surface."""
-    if isinstance(thing, (Mesh, Scene)):
+    if isinstance(geometry, (Mesh, Scene)):
         # Triangles need no field, and shadows would.
-        scene = thing if isinstance(thing, Scene) else Scene([thing])
+        scene = geometry if isinstance(geometry, Scene) else Scene([geometry])
         return render(scene, size=PICTURE_SIZE, shadows="none", device="cpu")._repr_png_()
-    levels = thing.levels if isinstance(thing, NestedField) else [thing] if isinstance(thing, Volume) else None
+    levels = (
+        geometry.levels if isinstance(geometry, NestedField) else [geometry] if isinstance(geometry, Volume) else None
+    )
     if levels and not any(level.distances.min() <= 0 <= level.distances.max() for level in levels):
         return None
-    if isinstance(thing, NestedField):
-        return raymarch(thing, size=PICTURE_SIZE, device="cpu")._repr_png_()
-    if isinstance(thing, Atlas) and not len(thing):
+    if isinstance(geometry, NestedField):
+        return raymarch(geometry, size=PICTURE_SIZE, device="cpu")._repr_png_()
+    if isinstance(geometry, Atlas) and not len(geometry):
         return None
-    return content_of(thing, None, "float32", PICTURE_SIZE).frame(max(PICTURE_SIZE))._repr_png_()
+    return content_of(geometry, None, "float32", PICTURE_SIZE).frame(max(PICTURE_SIZE))._repr_png_()
 
 
 def to_html(
-    thing: Any, path: str | os.PathLike[str] | None, camera: Camera | None, encoding: str, size: tuple[int, int]
+    geometry: Any, path: str | os.PathLike[str] | None, camera: Camera | None, encoding: str, size: tuple[int, int]
 ) -> str:
     """The page of an object; see :meth:`fieldbake.Volume.to_html`."""
     target = None if path is None else checks.path(path)
-    text = page_of(checked_content(thing, camera, encoding, size))
+    text = page_of(checked_content(geometry, camera, encoding, size))
     if len(text) > LARGE_PAGE:
         advice = "a sparse or coarser volume" if encoding == "snorm8" else 'encoding="snorm8"'
         warn(
@@ -77,7 +79,7 @@ def to_html(
 
 
 def show(
-    thing: Any,
+    geometry: Any,
     *,
     camera: Camera | None = None,
     encoding: str = "snorm8",
@@ -91,11 +93,11 @@ def show(
     ranges = {name: _range(name, value) for name, value in (parameters or {}).items()}
     values = {name: 0.5 * (least + largest) for name, (least, largest) in ranges.items()}
     if ranges and model is None:
-        if not isinstance(thing, Shape):
-            raise ArgumentError(f"parameters: {checks.describe(thing)} needs model=, a function of the parameters")
-        model, own = model_of(thing, list(ranges))
+        if not isinstance(geometry, Shape):
+            raise ArgumentError(f"parameters: {checks.describe(geometry)} needs model=, a function of the parameters")
+        model, own = model_of(geometry, list(ranges))
         values = {name: min(max(own[name], least), largest) for name, (least, largest) in ranges.items()}
-    content = checked_content(thing, camera, encoding, size)
+    content = checked_content(geometry, camera, encoding, size)
     try:
         from .widget import ViewWidget
     except ImportError:
