@@ -1,4 +1,4 @@
-"""Time of one field for a whole scene: the article's loop, the culled merge, updates, and a far field in a picture.
+"""Time of one field for a whole scene: the culled merge, updates, and a far field in a picture.
 
     python benches/merge.py [--resolution 128] [--instances 500] [--repeat 3]
 
@@ -85,11 +85,7 @@ def main() -> None:
     sizes = (options.resolution,) * 3
     instances = scattered(options.instances, random)
     field, full = shortest(options.repeat, lambda: fb.merge(instances, sizes, device="cpu"))
-    quarter = (options.resolution // 4,) * 3
-    _, loop = shortest(1, lambda: fb.merge(instances, quarter, method="article", device="cpu"))
-    loop *= np.prod(sizes) / np.prod(quarter)
-    print(f"{options.instances} instances at {options.resolution}^3: {full:.3f} s; the article's loop {loop:.1f} s")
-    print(f"  {loop / full:.0f} times the speed of the loop")
+    print(f"{options.instances} instances at {options.resolution}^3: {full:.3f} s")
 
     twice = scattered(2 * options.instances, random)
     _, double = shortest(options.repeat, lambda: fb.merge(twice, sizes, device="cpu"))

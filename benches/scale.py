@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import fieldbake as fb
-from fieldbake.scaling import plan, shards, store
+from fieldbake.scaling import shard_plan, shards, store
 from fieldbake.scaling.zarr_bake import _checked_layout
 from measuring import peak_mib, reset_peak
 
@@ -26,7 +26,7 @@ def measure_plan(resolution):
     reset_peak()
     before, start = peak_mib(), time.process_time()
     layout, mesh = _checked_layout(ball, resolution, 3, 256, 32, "snorm16", None, 0.1, "auto")
-    stored = [int(plan.stored_shards(mesh, layout, level)[0].sum()) for level in range(layout.level_count)]
+    stored = [int(shard_plan.stored_shards(mesh, layout, level)[0].sum()) for level in range(layout.level_count)]
     return time.process_time() - start, peak_mib() - before, stored
 
 
@@ -49,8 +49,8 @@ def prepared(path, resolution, folder):
     layout, mesh = _checked_layout(path, resolution, 3, 256, 32, "snorm16", None, 0.1, "auto")
     place = store.Place.of(folder / "k.zarr", None)
     store.create(place, None, layout, mesh, {})
-    _, near = plan.stored_shards(mesh, layout, 0)
-    return place, layout, mesh, [tuple(row) for row in plan.morton_order(np.argwhere(near)).tolist()]
+    _, near = shard_plan.stored_shards(mesh, layout, 0)
+    return place, layout, mesh, [tuple(row) for row in shard_plan.morton_order(np.argwhere(near)).tolist()]
 
 
 def timed_workers(place, layout, tasks, processes):

@@ -1,9 +1,8 @@
-"""A scene's light: 200 instances under soft shadow, against the article's loop, and shadow rays against Embree.
+"""A scene's light: 200 instances under soft shadow, and shadow rays against Embree.
 
     python benches/scene.py [--size 640x480] [--instances 200] [--repeat 3]
 
-The loop of the article takes at most 100 steps through every instance in turn (``method="article"``, hard shadows
-only). It is timed on a sixteenth of the pixels. Steps count evaluations of fields, and tests of instances.
+Steps count evaluations of fields, and tests of instances.
 
 Embree is Open3D's `test_occlusions` on the triangles of all instances as one soup, with rays from the same points. Its
 time is that of the rays alone; the time of fieldbake is that of the whole light pass, shading included. The cost of a
@@ -129,10 +128,8 @@ def report(options: argparse.Namespace) -> list[str]:
         lines.append(f"| {name} | {device} | {result[0]:.0f} | {result[1]:.0f} |")
         return result
 
-    article = light_of(scene, camera, small, 1, shadows="hard", method="article", device="cpu")
-    article = row("the article's loop, hard", "cpu", (16 * article[0], article[1]))
     hard = row("hard", "cpu", light_of(scene, camera, size, options.repeat, shadows="hard", device="cpu"))
-    soft = row("soft", "cpu", light_of(scene, camera, size, options.repeat, shadows="soft", device="cpu"))
+    row("soft", "cpu", light_of(scene, camera, size, options.repeat, shadows="soft", device="cpu"))
     row("soft, light_scale=2", "cpu", light_of(scene, camera, size, options.repeat, light_scale=2, device="cpu"))
     row("soft, samples=4", "cpu", light_of(scene, camera, size, 1, samples=4, device="cpu"))
     rays = {"shadows": "none", "ambient_occlusion": True}
@@ -140,13 +137,7 @@ def report(options: argparse.Namespace) -> list[str]:
     for device in fb.devices():
         if device.type != "cpu":
             row("soft", device.name, light_of(scene, camera, size, options.repeat, device=device.name))
-    lines += [
-        "",
-        f"Hard shadows take {article[1] / hard[1]:.0f} times fewer steps than the article's loop and are "
-        f"{article[0] / hard[0]:.0f} times faster; soft ones {article[1] / soft[1]:.0f} times fewer and "
-        f"{article[0] / soft[0]:.0f} times faster.",
-        "",
-    ]
+    lines.append("")
     lines += ["| instances | soft shadows, processor s | occlusion, processor s | ratio |", "|---|---|---|---|"]
     for count in (10, 60, 200):
         soft_s, open_s = occlusion_against_soft(count, small, options.repeat)

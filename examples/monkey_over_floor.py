@@ -1,6 +1,6 @@
 """The scene of the article "Mesh Distance Field + Shadow": a model over a floor, lit from above.
 
-Three pictures side by side: the article's own march, hard shadows, and the penumbrae of a lamp with a size.
+Three pictures side by side: hard shadows, and the penumbrae of a lamp with a size by cones and by 64 rays.
 
     python examples/monkey_over_floor.py [model.obj] [-o monkey.png]
 """
@@ -12,6 +12,8 @@ import numpy as np
 
 import fieldbake as fb
 from fieldbake.drawing.frame import save_image
+
+SHADOWS = ("hard", "soft", "area")
 
 
 def floor_under(bounds: np.ndarray, size: float = 4.0) -> fb.Mesh:
@@ -42,12 +44,10 @@ def main() -> None:
     camera = fb.Camera.fit(bounds, direction=(-0.7, -0.7, -1.0), border=0.35)
     size = (arguments.size, arguments.size)
     frames = [
-        fb.render(scene, camera, size=size, shadows="hard", method="article", device="cpu"),
-        fb.render(scene, camera, size=size, shadows="hard", samples=4, device=arguments.device),
-        fb.render(scene, camera, size=size, shadows="soft", samples=4, device=arguments.device),
+        fb.render(scene, camera, size=size, shadows=shadows, samples=4, device=arguments.device) for shadows in SHADOWS
     ]
     save_image(np.concatenate([frame.image for frame in frames], axis=1), arguments.output)
-    for name, frame in zip(("article", "hard", "soft"), frames, strict=True):
+    for name, frame in zip(SHADOWS, frames, strict=True):
         light = frame.report["milliseconds"]["light"]
         print(f"{name:8} {light:7.0f} ms of light, {frame.steps.mean():6.1f} steps a pixel")
 

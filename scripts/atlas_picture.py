@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw
+from scipy.ndimage import map_coordinates
 
 import fieldbake as fb
 
@@ -66,6 +67,9 @@ def picture(atlas, filter, camera):
     spacing = float(volume.spacing.max())
 
     def distance(points):
+        if filter == "slice":
+            columns, rows = (atlas.texture_coordinates(0, points) * atlas.pages[0].shape[::-1] - 0.5).T
+            return map_coordinates(atlas.pages[0].astype(np.float64), (rows, columns), order=1)
         return atlas.sample(0, points, filter=filter).astype(np.float64)
 
     t, origins, directions = march(distance, camera, spacing, volume.bounds)

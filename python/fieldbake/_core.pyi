@@ -810,25 +810,17 @@ class Renderer:
         *,
         fov_deg: float,
         height: float | None,
-        size: tuple[int, int],
         lights: list[DirectionalRow | PointRow],
-        primary: str,
-        shadows: str,
-        area_samples: int,
         ambient: float | list[list[list[float]]],
-        occlusion: float | None,
-        bounces: int,
-        bounce_samples: int,
-        far: list[SceneField],
-        far_distance: float | None,
         background: tuple[float, float, float, float],
-        exposure: float,
-        samples: int,
-        light_scale: int,
+        options: dict[str, Any],
         device: str,
         progress: Callable[[float], object] | None = None,
     ) -> dict[str, Any]:
         """Draw a scene. ``ambient`` is a number, or a quadratic form of the normal and 1 for each channel, (3, 4, 4).
+
+        ``options`` are those of :func:`fieldbake.render` by name; ``ambient_occlusion`` is a range or None, and ``far``
+        a list of fields.
 
         The result has the keys of :func:`raymarch`, with ``seconds`` as a dict of passes, and further
         keys: ``rays`` (h, w) uint32, the number of rays and cones for light of each pixel; ``ray_count``, that of the

@@ -12,7 +12,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
@@ -54,13 +54,13 @@ def __dir__() -> list[str]:
     return sorted(__all__)
 
 
-class Part:
+class Part(NamedTuple):
     """A part of a decomposed shape: a smaller shape, and the boxes in which it replaces the whole shape.
 
     Attributes
     ----------
     shape : Shape
-        The smaller shape; it is made at the first use.
+        The smaller shape.
     boxes : (k, 2, 3) float64
         Lower and upper corners, world units. A box contains its lower faces, but not its upper faces.
 
@@ -72,23 +72,8 @@ class Part:
     ('(sphere 2)', (1, 2, 3))
     """
 
-    __slots__ = ("_source", "boxes")
-
-    def __init__(self, shape: Shape | tuple[_core.Shape, Method, int], boxes: NDArray[np.float64]) -> None:
-        # There may be thousands of parts, so a shape is made only at the first use.
-        self._source = shape
-        self.boxes = boxes
-
-    @property
-    def shape(self) -> Shape:
-        """The smaller shape."""
-        if not isinstance(self._source, Shape):
-            whole, method, index = self._source
-            self._source = Shape._wrap(whole.part(method, index))
-        return self._source
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _restored_part, (self.shape, self.boxes)
+    shape: Shape
+    boxes: NDArray[np.float64]
 
     def shader(self, language: Language = "wgsl", *, name: str = FUNCTION) -> str:
         """Write the field of this part as a function with its own leaves only, to paste into a fragment shader.
@@ -174,17 +159,12 @@ class Parts(list[Part]):
     (1, 1)
     """
 
-    def __init__(self, parts: Iterable[Part] = (), *, structures: Callable[[], int] = int) -> None:
+    def __init__(self, parts: Iterable[Part] = (), structures: int = 0) -> None:
         super().__init__(parts)
-        self._structures = structures
-
-    @property
-    def structures(self) -> int:
-        """Number of different structures among the parts."""
-        return self._structures()
+        self.structures = structures
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restored_parts, (list(self), self.structures)
+        return Parts, (list(self), self.structures)
 
     def groups(self, language: Language = "wgsl", *, eye: ArrayLike | None = None) -> list[PartGroup]:
         """Group the boxes of all parts by structure, for drawing them as instances.
@@ -233,16 +213,6 @@ class Parts(list[Part]):
                 nearest.append(float(distances.min()))
             groups.append(PartGroup(text, boxes, numbers[rows], np.array(members, np.int64)[rows]))
         return groups if place is None else [groups[i] for i in np.argsort(nearest, kind="stable")]
-
-
-def _restored_part(shape: Shape, boxes: NDArray[np.float64]) -> Part:
-    """Restore the part that `Part.__reduce__` pickled."""
-    return Part(shape, checks.frozen(boxes))
-
-
-def _restored_parts(parts: list[Part], structures: int) -> Parts:
-    """Restore the list that `Parts.__reduce__` pickled."""
-    return Parts(parts, structures=lambda: structures)
 
 
 def parse(text: str) -> Shape:
@@ -339,5 +309,6 @@ def decompose(shape: Shape, method: Method = "octree") -> Parts:
     core = checked_shape("shape", shape)._core
     found, firsts = core.decompose(method)
     boxes = checks.frozen(found)
-    parts = [Part((core, method, i), boxes[first:end]) for i, (first, end) in enumerate(pairwise(firsts))]
-    return Parts(parts, structures=lambda: core.structures(method))
+    spans = enumerate(pairwise(firsts))
+    parts = [Part(Shape._wrap(core.part(method, index)), boxes[first:end]) for index, (first, end) in spans]
+    return Parts(parts, core.structures(method))

@@ -282,6 +282,59 @@ impl From<LightRow> for Light {
     }
 }
 
+/// The options of a picture by name, as Python checked them. `ambient_occlusion` is the range, world units.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct PictureOptions {
+    size: [u32; 2],
+    primary: String,
+    shadows: String,
+    ambient_occlusion: Option<f64>,
+    bounces: u32,
+    bounce_samples: u32,
+    samples: u32,
+    light_scale: u32,
+    exposure: f32,
+    area_samples: u32,
+    far: Vec<Py<SceneField>>,
+    far_distance: Option<f64>,
+}
+
+impl PictureOptions {
+    /// Converts the options to those of the core; unknown words are errors.
+    fn checked(self, lights: Vec<Light>, ambient: Ambient, background: [f32; 4]) -> PyResult<RenderOptions> {
+        Ok(RenderOptions {
+            size: self.size,
+            primary: match self.primary.as_str() {
+                "auto" => Primary::Auto,
+                "raster" => Primary::Raster,
+                "raymarch" => Primary::Raymarch,
+                other => return Err(unknown("primary", "\"auto\", \"raster\" or \"raymarch\"", other)),
+            },
+            shadows: match self.shadows.as_str() {
+                "none" => SceneShadows::None,
+                "hard" => SceneShadows::Hard,
+                "soft" => SceneShadows::Soft,
+                "area" => SceneShadows::Area(self.area_samples),
+                other => return Err(unknown("shadows", "\"soft\", \"hard\", \"none\" or \"area\"", other)),
+            },
+            lights,
+            ambient,
+            occlusion: self.ambient_occlusion,
+            bounces: (self.bounces > 0)
+                .then_some(BounceOptions { count: self.bounces, samples: self.bounce_samples }),
+            far: (!self.far.is_empty()).then(|| FarField {
+                levels: self.far.iter().map(|level| level.get().0.clone()).collect(),
+                distance: self.far_distance,
+            }),
+            background,
+            exposure: self.exposure,
+            samples: self.samples,
+            light_scale: self.light_scale,
+        })
+    }
+}
+
 /// A number, or three 4x4 matrices.
 #[derive(FromPyObject)]
 enum AmbientLight {
@@ -371,9 +424,7 @@ impl Renderer {
 
     /// Draws a scene.
     #[pyo3(signature = (
-        scene, pose, *, fov_deg, height, size, lights, primary, shadows, area_samples, ambient, occlusion, bounces,
-        bounce_samples, far,
-        far_distance, background, exposure, samples, light_scale, device, progress=None
+        scene, pose, *, fov_deg, height, lights, ambient, background, options, device, progress=None
     ))]
     fn frame<'py>(
         &self,
@@ -382,55 +433,18 @@ impl Renderer {
         pose: PyReadonlyArray2<'py, f64>,
         fov_deg: f64,
         height: Option<f64>,
-        size: [u32; 2],
         lights: Vec<LightRow>,
-        primary: &str,
-        shadows: &str,
-        area_samples: u32,
         ambient: AmbientLight,
-        occlusion: Option<f64>,
-        bounces: u32,
-        bounce_samples: u32,
-        far: Vec<Py<SceneField>>,
-        far_distance: Option<f64>,
         background: [f32; 4],
-        exposure: f32,
-        samples: u32,
-        light_scale: u32,
+        options: PictureOptions,
         device: &str,
         progress: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let place = choose(py, device)?;
         let camera = camera(&pose, fov_deg, height)?;
-        let options = RenderOptions {
-            size,
-            primary: match primary {
-                "auto" => Primary::Auto,
-                "raster" => Primary::Raster,
-                "raymarch" => Primary::Raymarch,
-                other => return Err(unknown("primary", "\"auto\", \"raster\" or \"raymarch\"", other)),
-            },
-            shadows: match shadows {
-                "none" => SceneShadows::None,
-                "hard" => SceneShadows::Hard,
-                "soft" => SceneShadows::Soft,
-                "area" => SceneShadows::Area(area_samples),
-                "article" => SceneShadows::Article,
-                other => return Err(unknown("shadows", "\"soft\", \"hard\", \"none\" or \"area\"", other)),
-            },
-            lights: lights.into_iter().map(Light::from).collect(),
-            ambient: ambient.into(),
-            occlusion,
-            bounces: (bounces > 0).then_some(BounceOptions { count: bounces, samples: bounce_samples }),
-            far: (!far.is_empty()).then(|| FarField {
-                levels: far.iter().map(|level| level.get().0.clone()).collect(),
-                distance: far_distance,
-            }),
-            background,
-            exposure,
-            samples,
-            light_scale,
-        };
+        let size = options.size;
+        let lights = lights.into_iter().map(Light::from).collect();
+        let options = options.checked(lights, ambient.into(), background)?;
         let scene = scene.0.clone();
         let rendered = run(py, progress, |progress| self.0.frame(&place, &scene, &camera, &options, progress))?;
         let images = frame_dict(py, rendered.frame)?;

@@ -155,35 +155,6 @@ def test_a_picture_in_bands_is_the_same_as_on_the_cpu():
     assert np.mean(exceeds(np.abs(cpu.color - gpu.color), 1e-3)) < 1e-4
 
 
-def test_hardware_filtering_is_as_near_as_it_says(random):
-    volume = fb.bake(knot(), (40, 48, 37), device="cpu")
-    camera = fb.Camera.fit(volume.inner_bounds)
-    exact, filtered = (
-        fb.raymarch(volume, camera, size=(200, 150), device="gpu", filter=name) for name in ("linear", "hardware")
-    )
-    hit = filtered.object_id == 0
-    # Where a ray grazes the surface, one finds what the other passes by.
-    assert np.count_nonzero(hit != (exact.object_id == 0)) <= 0.005 * np.count_nonzero(hit)
-    assert np.array_equal(np.isfinite(filtered.depth), hit)
-    # The exact field at the points that were found.
-    y, x = np.nonzero(hit)
-    tangent = np.tan(np.radians(camera.fov_deg) / 2)
-    direction = np.stack([(x + 0.5 - 100) / 75 * tangent, (75 - y - 0.5) / 75 * tangent, -np.ones(len(x))], -1)
-    points = camera.pose[:3, 3] + (direction * filtered.depth[hit][:, None]) @ camera.pose[:3, :3].T
-    assert np.abs(volume.sample(points)).max() <= 0.01 * volume.spacing.min()
-    assert np.mean(exceeds(np.abs(filtered.color - exact.color), 1 / 255)) < 0.02
-
-
-def test_hardware_filtering_needs_a_device_and_a_name_that_exists():
-    volume = fb.bake(trimesh.creation.box(), 8)
-    with pytest.raises(fb.ArgumentError, match=r"filter.*device"):
-        fb.raymarch(volume, size=(8, 8), filter="hardware", device="cpu")
-    with pytest.raises(fb.ArgumentError, match=r"filter.*cubic"):
-        fb.raymarch(volume, size=(8, 8), filter="cubic", device="cpu")
-    with pytest.raises(fb.DeviceError, match="texels"):
-        fb.raymarch(fb.bake(trimesh.creation.box(), (40_000, 1, 1)), size=(8, 8), filter="hardware", device="gpu")
-
-
 def test_a_field_stays_on_the_device_until_it_is_asked_for():
     volume = fb.bake(knot(), 32, device="gpu")
     field = volume._field

@@ -143,11 +143,11 @@ def test_stored_forms_are_drawn_like_their_samples(kind, device):
     [
         (fb.sphere(), {}),
         (fb.Quadric.sphere((0, 0, 0)), {}),
-        (grid((3, 3, 3), 1, 0.5), {"shadows": "soft"}),
+        (grid((3, 3, 3), 1, 0.5), {"lights": [fb.DirectionalLight((0, -1, 0), angle_deg=2)]}),
         (grid((3, 3, 3), 1, 0.5), {"lights": [fb.PointLight((0, 1, 0))]}),
         (grid((3, 3, 3), 1, 0.5), {"filter": "cubic"}),
     ],
 )
-def test_what_has_no_voxels_or_other_shadows_is_refused(geometry, options):
+def test_objects_without_voxels_and_other_shadows_are_refused(geometry, options):
     with pytest.raises(fb.ArgumentError, match="filter"):
         fb.raymarch(geometry, size=(8, 8), **{"filter": "nearest", **options})

@@ -162,7 +162,7 @@ def test_defaults_are_those_of_the_scene(instances) -> None:
     assert_equal(renderer.frame(transforms=transforms), fb.render(fb.Scene(there), **options))
     with_camera = fb.Scene(instances, cameras=[other])
     assert_equal(fb.Renderer(with_camera, size=SIZE, device="cpu").frame(), fb.render(plain, other, size=SIZE))
-    assert fb.Renderer(instances[0], device="cpu").size == (1280, 720)
+    assert fb.Renderer(instances[0], device="cpu").size == (512, 512)
     assert fb.Renderer([plane(), instances[1]], size=(8, 8)).frame().size == (8, 8)
 
 

@@ -75,8 +75,3 @@ def test_nested_levels_too(gpu):
     cpu, device = (fb.merge(instances, 16, levels=3, device=place) for place in ("cpu", gpu))
     for a, b in zip(cpu.levels, device.levels, strict=True):
         assert np.array_equal(a.distances, b.distances)
-
-
-def test_the_articles_loop_stays_on_the_cpu(gpu):
-    with pytest.raises(fb.DeviceError, match="article"):
-        fb.merge([fb.Quadric.sphere()], 8, method="article", device=gpu)

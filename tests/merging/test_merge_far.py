@@ -127,7 +127,6 @@ def test_devices_agree(shadows, gpu):
         ({"far_distance": 1.0}, "far_distance: needs far"),
         ({"far": "field", "far_distance": -1}, "far_distance: must be"),
         ({"far": "field", "far_distance": float("nan")}, "far_distance: must be"),
-        ({"far": "field", "method": "article"}, "far: the march of the article has no far field"),
     ],
 )
 def test_mistakes_are_told(options, message):

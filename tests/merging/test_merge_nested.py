@@ -205,7 +205,6 @@ def test_as_a_far_field_it_throws_shadows_and_devices_agree(shadows, gpu):
         ({"levels": 2.0}, "levels: must be a whole number"),
         ({"center": (0, 0, 0)}, "center: .* give levels too"),
         ({"levels": 2, "center": (0, 0)}, "center: must have shape"),
-        ({"levels": 2, "method": "article"}, "levels: are merged"),
         ({"levels": 2, "resolution": (16, 4, 16)}, "resolution: levels need 8 voxels"),
     ],
 )

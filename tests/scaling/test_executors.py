@@ -15,7 +15,7 @@ import fieldbake as fb
 from fieldbake import _core
 from fieldbake.base import threads
 from fieldbake.scaling import executors
-from fieldbake.scaling.child import Child
+from fieldbake.scaling.process import Child
 
 
 @pytest.fixture(scope="module")
@@ -46,14 +46,14 @@ def test_functions_of_the_main_program_have_a_time_limit(tmp_path, monkeypatch):
         "killer": lambda: os.kill(os.getpid(), 9),
         "box": lambda: assets.box(1),
     }
-    rows = fb.bake_many(items, tmp_path / "a", workers=1, limit_s=3, resolution=8)
+    rows = fb.bake_many(items, tmp_path / "a", threads=1, limit_s=3, resolution=8)
     assert [row["status"] for row in rows] == ["failed", "failed", "done"]
     assert "limit of 3 s" in rows[0]["error"]
     assert "SIGKILL" in rows[1]["error"]
 
     monkeypatch.setitem(sys.modules, "cloudpickle", None)
     items = {"sleeper": lambda: time.sleep(600), "box": assets.small_box}
-    rows = fb.bake_many(items, tmp_path / "b", workers=1, limit_s=60, resolution=8)
+    rows = fb.bake_many(items, tmp_path / "b", threads=1, limit_s=60, resolution=8)
     assert [row["status"] for row in rows] == ["failed", "done"]
     assert "install cloudpickle" in rows[0]["error"]
 

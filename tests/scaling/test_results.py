@@ -7,7 +7,7 @@ import assets
 import fieldbake as fb
 import meshes
 import truth
-from fieldbake.scaling.many import sample_many
+from fieldbake.scaling.library import sample_many
 
 
 @pytest.fixture
@@ -16,7 +16,7 @@ def boxes():
 
 
 def many(items, out, function=fb.bake_many, **options):
-    return function(items, out, **{"workers": 1, **options})
+    return function(items, out, **{"threads": 1, **options})
 
 
 def statuses(rows):

@@ -271,7 +271,10 @@ def test_what_makes_no_sense_is_refused() -> None:
         (lambda: fb.render(scene, size=(0, 10)), "size"),
         (lambda: fb.render(scene, primary="fast"), "primary"),
         (lambda: fb.render(scene, shadows="blurry"), "shadows"),
-        (lambda: fb.render(scene, method="other"), "method"),
+        (
+            lambda: fb.render(scene, shadow="soft"),
+            r"shadow: is no option of render\(\); its options are size, primary, shadows",
+        ),
         (lambda: fb.render(scene, samples=3, device="cpu"), "samples"),
         (lambda: fb.render(scene, light_scale=3), "light_scale"),
         (lambda: fb.render(scene, exposure=-1), "exposure"),

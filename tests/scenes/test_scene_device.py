@@ -124,11 +124,6 @@ def test_neighbours_that_share_a_search_find_all_occluders(light: str, size: tup
     assert exceeds(np.abs(here.shadow - there.shadow), 1 / 255).mean() <= 0.005
 
 
-def test_the_articles_march_is_not_for_devices(gpu: str) -> None:
-    with pytest.raises(fb.DeviceError, match="runs on the CPU only"):
-        fb.render([fb.bake(meshes.icosphere(1), 8, device="cpu")], size=(8, 8), method="article", device=gpu)
-
-
 @pytest.mark.parametrize("is_sparse", [False, True])
 @pytest.mark.parametrize("scale", [(2.5, 0.4, 1), (0.4, 1.5, 2.5)])
 def test_stretched_objects_have_the_same_penumbrae(

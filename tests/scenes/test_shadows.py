@@ -203,15 +203,6 @@ def test_a_box_on_a_floor_has_no_dark_row_at_its_foot() -> None:
     assert (~(frame.shadow[front] >= 1)).sum() <= 3
 
 
-def test_the_articles_march_is_there_to_compare() -> None:
-    frame, camera = over_plane(fb.DirectionalLight(SUN), "hard")
-    ball = fb.Mesh(*meshes.icosphere(4))
-    scene = fb.Scene([fb.Instance(ball, moved(y=0.6)), plane()], lights=[fb.DirectionalLight(SUN)])
-    article = fb.render(scene, camera, size=frame.size, shadows="hard", method="article", device="cpu")
-    assert (frame.shadow == article.shadow).mean() > 0.9
-    assert article.steps.mean() > 3 * frame.steps.mean()
-
-
 def test_a_leaf_card_casts_the_shadow_of_a_leaf(model_path) -> None:
     plant = fb.load_scene(model_path("foliage_cards.glb"))
     bounds = plant.bounds

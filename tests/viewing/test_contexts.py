@@ -11,8 +11,8 @@ import pytest
 import fieldbake as fb
 from browser import WEB, visit
 from fieldbake.viewing.content import content_of
+from fieldbake.viewing.html import page_of
 from fieldbake.viewing.output import frame_html
-from fieldbake.viewing.page import page_of
 
 SIZE = (120, 90)
 

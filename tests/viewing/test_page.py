@@ -15,7 +15,7 @@ import pytest
 import fieldbake as fb
 from browser import PIXELS, WEB, node_tool, visit
 from fieldbake.viewing.content import Content, content_of
-from fieldbake.viewing.page import bundle
+from fieldbake.viewing.html import bundle
 
 #: Pixels of the pictures here.
 SIZE = (96, 80)

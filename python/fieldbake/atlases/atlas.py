@@ -6,7 +6,7 @@ import json
 import os
 import struct
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,7 +37,7 @@ from .pages import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-AtlasFilter = Literal["linear", "nearest", "slice"]
+AtlasFilter = Literal["linear", "nearest"]
 Language = Literal["wgsl", "glsl", "hlsl", "msl"]
 
 
@@ -287,10 +287,9 @@ class Atlas(PageStore, Viewable, Loadable):
             Index of the volume.
         points : (n, 3) real
             Positions in the volume's space, of any leading shape.
-        filter : "linear", "nearest" or "slice", default "linear"
+        filter : "linear" or "nearest", default "linear"
             ``"linear"``: two bilinear taps and an interpolation along z, equal to :meth:`Volume.sample`. ``"nearest"``:
-            the nearest texel. ``"slice"``: the single bilinear tap of the article in the slice that contains the point,
-            which is discontinuous along z.
+            the nearest texel.
 
         Returns
         -------
@@ -318,7 +317,7 @@ class Atlas(PageStore, Viewable, Loadable):
                 inner_lower,
                 inner_upper,
                 flat,
-                filter=checks.text("filter", filter),
+                filter=checks.choice("filter", filter, get_args(AtlasFilter)),
             )
         return values.reshape(shape)
 

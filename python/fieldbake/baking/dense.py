@@ -254,6 +254,12 @@ def log_warnings(report: Report) -> None:
         warn_surface(report.warnings)
 
 
+def refuse_devices(function: str, device: str) -> None:
+    """Refuse every device but the CPU, for a function that runs nowhere else."""
+    if checks.text("device", device) not in ("auto", "cpu"):
+        raise ArgumentError(f'device: {function} runs on the CPU only; leave it out or pass "cpu", got {device!r}')
+
+
 def refuse_for_shapes(options: Mapping[str, tuple[Any, Any]], two_sided: bool) -> None:
     """Raise ArgumentError for an option of meshes that is given for a shape: names with values and defaults."""
     for name, (value, default) in options.items():

@@ -17,7 +17,7 @@ from ..meshes.convert import MeshLike
 from ..queries.common import Sign
 from ..shapes.shape import Shape, all_shapes
 from ..volumes.sparse import SparseVolume, sparse_options
-from .dense import bake_shape, log_warnings, prepare, refuse_for_shapes
+from .dense import bake_shape, log_warnings, prepare, refuse_devices, refuse_for_shapes
 
 #: Voxels along the longest side, unless the caller chooses.
 SPARSE_RESOLUTION = 512
@@ -27,15 +27,16 @@ def bake_sparse(
     mesh: MeshLike | Shape | Sequence[Shape],
     resolution: Resolution = SPARSE_RESOLUTION,
     *,
-    band: float = 4,
-    tolerance: float | None = 0.05,
-    encoding: Encoding = "float32",
     voxel_size: float | None = None,
     bounds: ArrayLike | None = None,
     margin: float = 0.1,
     sign: Sign = "auto",
+    band: float = 4,
     two_sided: bool = False,
     thickness: float | None = None,
+    tolerance: float | None = 0.05,
+    encoding: Encoding = "float32",
+    device: str = "auto",
     progress: Progress = None,
 ) -> SparseVolume:
     """Bake a mesh or a shape into bricks around its surface.
@@ -54,6 +55,8 @@ def bake_sparse(
     encoding : str, default "float32"
         ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``, rounded toward zero. The largest integer represents
         the band.
+    device : str, default "auto"
+        ``"auto"`` or ``"cpu"``: the bake runs on the CPU.
 
     Returns
     -------
@@ -69,7 +72,7 @@ def bake_sparse(
     -----
     The bake of a mesh never makes the dense grid. A shape is evaluated on the dense grid first, 4 bytes per sample.
 
-    The bake runs on the CPU. Stored distances equal those of :func:`bake`. A brick far from the surface is inside or
+    Stored distances equal those of :func:`bake`. A brick far from the surface is inside or
     outside as a whole. On closed meshes this is exact. On open meshes all samples of the brick are tested, and on
     triangle soups its corners.
 
@@ -84,6 +87,7 @@ def bake_sparse(
     True
     """
     options = sparse_options(band, tolerance, encoding)
+    refuse_devices("bake_sparse", device)
     if isinstance(mesh, Shape) or all_shapes(mesh):
         unused = {"sign": (checks.text("sign", sign), "auto"), "thickness": (thickness, None)}
         refuse_for_shapes(unused, checks.flag("two_sided", two_sided))

@@ -2,8 +2,25 @@
 
 from __future__ import annotations
 
+import importlib
 import os
+from collections.abc import Callable
 from typing import Any, Literal
+
+#: The functions ``picture``, ``to_html`` and ``show``, which the package `viewing` registers when it is imported.
+_FUNCTIONS: dict[str, Callable[..., Any]] = {}
+
+
+def register(**functions: Callable[..., Any]) -> None:
+    """Register functions of live views, whose first argument is the object."""
+    _FUNCTIONS.update(functions)
+
+
+def _view(name: str) -> Callable[..., Any]:
+    """The registered function `name`. The first use of a view imports the package that registers them."""
+    if not _FUNCTIONS:
+        importlib.import_module("fieldbake.viewing.hosts")
+    return _FUNCTIONS[name]
 
 
 class Pictured:
@@ -13,9 +30,8 @@ class Pictured:
 
     def _repr_png_(self) -> bytes | None:
         """Draw the object for notebooks, as PNG; None if there is no surface."""
-        from ..viewing import hosts
-
-        return hosts.picture(self)
+        found: bytes | None = _view("picture")(self)
+        return found
 
 
 class Viewable(Pictured):
@@ -80,9 +96,8 @@ class Viewable(Pictured):
         :func:`fieldbake.render` alone.
         Where the browser has no WebGL 2, or forbids scripts, the page shows a picture.
         """
-        from ..viewing import hosts
-
-        return hosts.to_html(self, path, camera, encoding, size)
+        text: str = _view("to_html")(self, path, camera, encoding, size)
+        return text
 
     def show(self, **options: Any) -> Any:
         """Show a live view in a notebook.
@@ -106,6 +121,4 @@ class Viewable(Pictured):
         SceneError, ArgumentError
             As for :meth:`to_html`.
         """
-        from ..viewing import hosts
-
-        return hosts.show(self, **options)
+        return _view("show")(self, **options)

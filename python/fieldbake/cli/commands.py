@@ -13,7 +13,7 @@ import fieldbake as fb
 from ..atlases.atlas import Language, as_written
 from ..files.container import ENDINGS
 from ..queries.common import Sign
-from ..scaling.many import distinct_stems
+from ..scaling.library import distinct_stems
 from ..volumes import writers
 from .application import app, err, show_rows
 from .folders import bake_folder

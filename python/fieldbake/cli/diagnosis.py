@@ -150,7 +150,7 @@ def _vulkan_drivers() -> list[str]:
 
 def _devices(self_tests: bool) -> list[dict[str, Any]]:
     """List the devices and test each in a child process, so that a crash of a driver does not end this process."""
-    child_module, error = attempt(importlib.import_module, "fieldbake.scaling.child")
+    child_module, error = attempt(importlib.import_module, "fieldbake.scaling.process")
     tests, other_error = attempt(importlib.import_module, "fieldbake.cli.selftests")
     if error or other_error:
         return [{"name": "cpu", "error": error or other_error}]

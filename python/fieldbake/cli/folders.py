@@ -13,7 +13,7 @@ from rich.markup import escape
 import fieldbake as fb
 
 from ..base.notices import about_surface
-from ..scaling import ledger
+from ..scaling import records
 from .application import err, out
 
 
@@ -28,7 +28,7 @@ def bake_folder(
 ) -> None:
     """Bake each mesh into the folder; exit with status 1 if one failed."""
     bar = err.is_terminal
-    rows = fb.bake_many(meshes, folder, workers=jobs, limit_s=limit_s, resume=not fresh, progress=bar, **options)
+    rows = fb.bake_many(meshes, folder, threads=jobs, limit_s=limit_s, resume=not fresh, progress=bar, **options)
     finish(rows, folder)
 
 
@@ -39,7 +39,7 @@ def finish(rows: Sequence[Mapping[str, Any]], folder: Path) -> None:
     out.print(f"[bold]{escape(str(folder))}[/]  {text or 'nothing to do'}", soft_wrap=True)
     doubtful = sum(is_doubtful(row["report"]) for row in rows if row["report"] is not None)
     if doubtful:
-        where = escape(str(folder / ledger.NAME))
+        where = escape(str(folder / records.NAME))
         text = f"{doubtful} of {len(rows)} results have warnings or uncertain signs; {where} has their reports"
         out.print(f"[yellow]warning:[/] {text}", soft_wrap=True)
     for row in rows:

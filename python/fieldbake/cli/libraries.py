@@ -9,7 +9,7 @@ import typer
 
 from ..meshes.normalization import Target
 from ..queries.sampling import SampleType
-from ..scaling.many import sample_many
+from ..scaling.library import sample_many
 from .application import app, err
 from .folders import finish
 
@@ -57,5 +57,5 @@ def sample(
     if near:
         options["near"] = near
     bar = err.is_terminal
-    rows = sample_many(mesh, output, workers=jobs, limit_s=limit_s, resume=not fresh, progress=bar, **options)
+    rows = sample_many(mesh, output, threads=jobs, limit_s=limit_s, resume=not fresh, progress=bar, **options)
     finish(rows, output)

@@ -16,19 +16,18 @@ from ..drawing.frame import check_picture, save_image
 from ..files.container import ENDINGS
 from . import demo as demonstration
 from .application import app, err, out
-from .commands import MESHES, Device, Resolution, parse_size, parse_vector
+from .commands import MESHES, Device, Resolution, parse_vector
+from .picture_options import Size, with_picture_options
 from .streams import check_clobber, check_output
 
 
 @app.command()
+@with_picture_options
 def render(
     files: Annotated[
         list[Path], typer.Argument(help="Scenes, meshes and baked fields, drawn in one picture.", metavar="FILE")
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write: .png, .jpg, ...")],
-    size: Annotated[
-        Any, typer.Option(parser=parse_size, metavar="WxH", help="Size of the picture, pixels.")
-    ] = "640x480",
     resolution: Resolution = "64",
     eye: Annotated[Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Position of the camera.")] = None,
     target: Annotated[
@@ -37,28 +36,10 @@ def render(
     up: Annotated[
         Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Direction that points upwards in the picture.")
     ] = "0,1,0",
-    fov: Annotated[float, typer.Option(help="Vertical field of view, degrees.")] = 45.0,
+    fov_deg: Annotated[float, typer.Option(help="Vertical field of view, degrees.")] = 45.0,
     color: Annotated[
         Any, typer.Option(parser=parse_vector, metavar="R,G,B", help="Colour of all surfaces, linear RGB from 0 to 1.")
     ] = None,
-    shadows: Annotated[
-        Literal["soft", "hard", "none", "area"],
-        typer.Option(help="Kind of shadows; area is slow, and the reference for soft."),
-    ] = "soft",
-    primary: Annotated[
-        Literal["auto", "raster", "raymarch"],
-        typer.Option(
-            help="auto: rasterise meshes, march fields; raster: draw meshes only; raymarch: draw fields only."
-        ),
-    ] = "auto",
-    occlusion: Annotated[bool, typer.Option("--occlusion", help="Add ambient occlusion.")] = False,
-    bounces: Annotated[
-        int,
-        typer.Option(
-            help="Diffuse reflections of light between surfaces, 0 to 4. Emissive surfaces then light others."
-        ),
-    ] = 0,
-    samples: Annotated[int, typer.Option(help="Colour samples per pixel for smooth edges: 1, 4, 9, 16, ...")] = 1,
     light: Annotated[
         list[Any] | None,
         typer.Option(
@@ -67,41 +48,30 @@ def render(
             help="Direction in which a sun shines; replaces the lights of the file. May be repeated.",
         ),
     ] = None,
-    angle: Annotated[
+    angle_deg: Annotated[
         float, typer.Option(help="Angular diameter of --light, degrees. Larger values give softer shadows.")
     ] = 2.0,
     floor: Annotated[bool, typer.Option("--floor", help="Add a floor below the scene.")] = False,
     heatmap: Annotated[
         Literal["steps", "rays", "depth", "shadow"] | None, typer.Option(help="Show this quantity instead of colours.")
     ] = None,
-    device: Device = "auto",
+    **picture: Any,
 ) -> None:
     """Draw scenes: glTF or any mesh files with their textures, cameras and lights, or baked fields."""
     if target is not None and eye is None:
         raise typer.BadParameter("needs --eye", param_hint="--target")
     check_picture(output)
     check_clobber(output)
-    scene = _scene(files, resolution, color, light, angle, floor)
+    scene = _scene(files, resolution, color, light, angle_deg, floor)
     camera = None
     if eye is not None:
-        camera = fb.Camera(eye, scene.bounds.mean(axis=0) if target is None else target, up, fov)
+        camera = fb.Camera(eye, scene.bounds.mean(axis=0) if target is None else target, up, fov_deg)
     elif not scene.cameras:
         geometries = scene.instances[:-1] if floor else scene.instances
         boxes = np.stack([instance.bounds for instance in geometries])
         bounds = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
-        camera = fb.Camera.fit(bounds, up=up, fov_deg=fov, aspect=size[0] / size[1])
-    frame = fb.render(
-        scene,
-        camera,
-        size=size,
-        primary=primary,
-        shadows=shadows,
-        ambient_occlusion=occlusion,
-        bounces=bounces,
-        samples=samples,
-        device=device,
-        progress=err.is_terminal,
-    )
+        camera = fb.Camera.fit(bounds, up=up, fov_deg=fov_deg, aspect=picture["size"][0] / picture["size"][1])
+    frame = fb.render(scene, camera, progress=err.is_terminal, **picture)
     if heatmap is None:
         frame.save(output)
     else:
@@ -114,12 +84,12 @@ def _scene(
     resolution: Any,
     color: tuple[float, float, float] | None,
     light: list[Any] | None,
-    angle: float,
+    angle_deg: float,
     floor: bool,
 ) -> fb.Scene:
     """Build the scene that `render` draws."""
     material = None if color is None else fb.Material(color=color)
-    lights: list[Any] | None = None if not light else [fb.DirectionalLight(way, angle_deg=angle) for way in light]
+    lights: list[Any] | None = None if not light else [fb.DirectionalLight(way, angle_deg=angle_deg) for way in light]
     voxels = resolution if isinstance(resolution, int) else max(resolution)
     scenes = [
         fb.Scene([fb.Instance(fb.load(file))])
@@ -157,9 +127,7 @@ def csg(
             f"({', '.join(MESHES)}).",
         ),
     ],
-    size: Annotated[
-        Any, typer.Option(parser=parse_size, metavar="WxH", help="Size of the picture, pixels.")
-    ] = "640x480",
+    size: Size = "512x512",
     resolution: Resolution = "128",
     method: Annotated[
         Literal["auto", "whole", "aabb", "octree"],

@@ -28,11 +28,9 @@ from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
 from .frame import Frame
 from .options import checked_color, checked_size, frame_of
-from .rendering import render
-from .scene_options import Primary
+from .rendering import Primary, Shadows, render
 
-Shadows = Literal["hard", "none", "soft", "area"]
-Filter = Literal["linear", "nearest", "hardware"]
+Filter = Literal["linear", "nearest"]
 Method = Literal["auto", "whole", "aabb", "octree"]
 
 #: Voxels along the longest side of a mesh that is baked for a picture.
@@ -45,7 +43,7 @@ def raymarch(
     camera: Camera | None = None,
     *,
     size: tuple[int, int] = (512, 512),
-    shadows: Shadows = "hard",
+    shadows: Shadows = "soft",
     filter: Filter = "linear",
     lights: Sequence[Light] | None = None,
     ambient: float | None = None,
@@ -70,10 +68,11 @@ def raymarch(
         The view. The default fits the surface: ``Camera.fit(volume.inner_bounds)``.
     size : (width, height), default (512, 512)
         Size of the picture, pixels.
-    shadows : "hard", "soft", "area" or "none", default "hard"
-        Kind of shadows that the surface casts on itself. ``"soft"`` and ``"area"`` are those of :func:`render`.
-    filter : "linear", "nearest" or "hardware", default "linear"
-        Interpolation between samples: exact, none, or by the texture units of a graphics device (see Notes).
+    shadows : "soft", "hard", "none" or "area", default "soft"
+        Kind of shadows that the surface casts on itself, as for :func:`render`. A light without a size, such as the
+        default light, has hard shadows.
+    filter : "linear" or "nearest", default "linear"
+        Interpolation between samples: trilinear or none.
         ``"nearest"`` draws the voxels whose samples are not positive, as cubes or boxes.
     lights : sequence of DirectionalLight, PointLight and SpotLight, optional
         If not given, one white light of intensity 0.64 from above, over the viewer's right shoulder.
@@ -120,18 +119,12 @@ def raymarch(
 
     Quantised and sparse volumes are read in their stored form, on the CPU and on a graphics device. A device draws
     sparse volumes and nested fields if their sides have at most 16380 voxels in total. It draws nested fields under
-    directional lights with shadows ``"hard"`` or ``"none"``; the CPU draws them otherwise.
+    directional lights without penumbrae; the CPU draws them otherwise.
 
     With ``filter="nearest"`` the value at a point is the sample of the voxel that contains it, as in
     ``volume.sample(points, filter="nearest")``. The solid is then a union of voxels, so this picture is both that of a
     point filter and a view of the voxels. It has hard shadows or none, and a graphics device decodes quantised and
     sparse volumes to the whole grid for it.
-
-    ``filter="hardware"`` interpolates half floats with weights of about 8 bits. On the tested devices the trilinear
-    field at a hit is within 0.01 voxels of zero; WebGPU specifies no bound. The method assumes that samples are
-    distances. Where they are not, or where a ray is inside the solid for less than half a voxel, it can miss a hit.
-    Quantised and sparse volumes are decoded to the whole grid for it. A field that is too large for one buffer of the
-    device can be drawn in this way only.
 
     References
     ----------
@@ -212,8 +205,11 @@ class _Options:
     @property
     def needs_scene(self) -> bool:
         """Whether only the light pass of scenes has these shadows and lights."""
-        placed = (PointLight, SpotLight)
-        return self.shadows in ("soft", "area") or any(isinstance(light, placed) for light in self.lights or ())
+        lights = self.lights or ()
+        if any(isinstance(light, (PointLight, SpotLight)) for light in lights):
+            return True
+        has_size = any(isinstance(light, DirectionalLight) and light.angle_deg > 0 for light in lights)
+        return self.shadows in ("soft", "area") and has_size
 
     def view_of(self, bounds: NDArray[np.float64]) -> Camera:
         """The camera, or the default camera for a box."""
@@ -230,7 +226,8 @@ class _Options:
             specular=self.specular,
             shininess=self.shininess,
             background=self.background,
-            shadows=self.shadows,
+            # Lights without a size have hard shadows.
+            shadows="none" if self.shadows == "none" else "hard",
         )
 
     def render(self, objects: Sequence[Any], camera: Camera, primary: Primary, device: str) -> Frame:
@@ -318,7 +315,7 @@ def _draw_zarr(volume: ZarrVolume, options: _Options) -> Frame:
 def _refuse_filter(options: _Options) -> None:
     if options.filter != "linear":
         raise ArgumentError(
-            f'filter: "{options.filter}" needs a volume, directional lights, and shadows "hard" or "none"'
+            f'filter: "{options.filter}" needs a volume and directional lights, without a size or with shadows="hard"'
         )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,16 +12,17 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from ..base import checks
 from ..base.errors import SceneError
-from ..base.progress import Progress
-from ..merging.nested import NestedField
+from ..base.former_names import former_names
 from ..scenes.camera import Camera
 from ..scenes.instance import Instance
 from ..scenes.lights import Light, check_lights
 from ..scenes.materials import Material
 from ..scenes.scene import Scene
-from ..volumes.volume import Volume
 from .frame import Frame
-from .scene_options import Options, Primary, SceneShadows, as_scene, checked_camera
+from .rendering import METHOD, Options, RenderOptions, as_scene, checked_camera, takes_options
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 
 class Renderer:
@@ -37,13 +38,9 @@ class Renderer:
     ----------
     scene : Scene
         The scene. An object that :class:`Instance` accepts, or a list of objects and instances, is converted to one.
-    size : (width, height), default (1280, 720)
-        Size of the frames, pixels.
-    device : str, default "auto"
-        ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
-    shadows, ambient_occlusion, bounces, bounce_samples, primary, samples
+    size, primary, shadows, ambient_occlusion, bounces, bounce_samples, samples
         As for :func:`render`.
-    light_scale, exposure, area_samples, far, far_distance, method
+    light_scale, exposure, area_samples, far, far_distance, device
         As for :func:`render`.
     progress : bool or callable, optional
         As for :func:`render`, for each frame.
@@ -75,44 +72,12 @@ class Renderer:
     (3, (32, 48, 4))
     """
 
-    def __init__(
-        self,
-        scene: Any,
-        *,
-        size: tuple[int, int] = (1280, 720),
-        device: str = "auto",
-        shadows: SceneShadows = "soft",
-        ambient_occlusion: bool | float = False,
-        bounces: int = 0,
-        bounce_samples: int = 256,
-        primary: Primary = "auto",
-        samples: int = 1,
-        light_scale: int = 1,
-        exposure: float = 1.0,
-        area_samples: int = 64,
-        far: Volume | NestedField | None = None,
-        far_distance: float | None = None,
-        method: Literal["fieldbake", "article"] = "fieldbake",
-        progress: Progress = None,
-    ) -> None:
+    @former_names(method=METHOD)
+    @takes_options
+    def __init__(self, scene: Any, **options: Unpack[RenderOptions]) -> None:
         self._scene = as_scene(scene)
-        self._options = Options.checked(
-            size=size,
-            primary=primary,
-            shadows=shadows,
-            ambient_occlusion=ambient_occlusion,
-            bounces=bounces,
-            bounce_samples=bounce_samples,
-            samples=samples,
-            light_scale=light_scale,
-            exposure=exposure,
-            area_samples=area_samples,
-            far=far,
-            far_distance=far_distance,
-            method=method,
-            device=device,
-            progress=progress,
-        )
+        self._options = Options.of("Renderer", options)
+        device = self._options.device
         self._renderer = _core.Renderer(device, keeps_pictures=True)
         instances = self._scene.instances
         self._core = self._scene._core(self._options.fields_of(instances), device)

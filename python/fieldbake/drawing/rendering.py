@@ -1,37 +1,231 @@
-"""Pictures of scenes: the primary pass, then the light pass through the distance fields."""
+"""Pictures of scenes: the primary pass, then the light pass through the distance fields.
+
+Each option of a picture is one row of :class:`Options`, from which the signatures of :func:`render` and
+:class:`fieldbake.Renderer`, the options of the command line and the arguments of the core follow.
+"""
 
 from __future__ import annotations
 
-from typing import Any, Literal
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, get_args
 
-from ..base.progress import Progress
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _core
+from ..base import checks
+from ..base.errors import ArgumentError, SceneError
+from ..base.former_names import former_names
+from ..base.progress import Progress, progress_callback
 from ..merging.nested import NestedField
+from ..scenes import field_cache
 from ..scenes.camera import Camera
+from ..scenes.core_scene import Fields
+from ..scenes.instance import Instance
+from ..scenes.lights import Light, key_light, row_of
+from ..scenes.materials import scattering_rgb
+from ..scenes.scene import Scene
 from ..volumes.volume import Volume
 from .frame import Frame
-from .scene_options import Options, Primary, SceneShadows, as_scene, checked_camera
+from .options import checked_size
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+Primary = Literal["auto", "raster", "raymarch"]
+Shadows = Literal["soft", "hard", "none", "area"]
+
+#: Range of ambient occlusion for True, as a fraction of the diagonal of the scene.
+OCCLUSION_SHARE = 0.15
+
+#: The replacement of the former option `method`.
+METHOD = "the page docs/articles/mesh_distance_field, which computes the march of the article"
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-def render(
-    scene: Any,
-    camera: Camera | None = None,
-    *,
-    size: tuple[int, int] = (512, 512),
-    primary: Primary = "auto",
-    shadows: SceneShadows = "soft",
-    ambient_occlusion: bool | float = False,
-    bounces: int = 0,
-    bounce_samples: int = 256,
-    samples: int = 1,
-    light_scale: int = 1,
-    exposure: float = 1.0,
-    area_samples: int = 64,
-    far: Volume | NestedField | None = None,
-    far_distance: float | None = None,
-    method: Literal["fieldbake", "article"] = "fieldbake",
-    device: str = "auto",
-    progress: Progress = None,
-) -> Frame:
+class RenderOptions(TypedDict, total=False):
+    """The types of the options for type checkers."""
+
+    size: tuple[int, int]
+    primary: Primary
+    shadows: Shadows
+    ambient_occlusion: bool | float
+    bounces: int
+    bounce_samples: int
+    samples: int
+    light_scale: int
+    exposure: float
+    area_samples: int
+    far: Volume | NestedField | None
+    far_distance: float | None
+    device: str
+    progress: Progress
+
+
+PRIMARY_HELP = "auto: rasterise meshes, march fields; raster: draw meshes only; raymarch: draw fields only."
+BOUNCES_HELP = "Diffuse reflections of light between surfaces, 0 to 4. Emissive surfaces then light others."
+DEVICE_HELP = 'Compute device: "auto", "cpu", "gpu" or a name from `fieldbake devices`.'
+
+
+def row(check: Callable[[str, Any], Any], help: str = "") -> dict[str, Any]:
+    """Describe an option: its check, and its help on the command line, which has no option without help."""
+    return {"check": check, "help": help}
+
+
+def _one_of(words: Any) -> Callable[[str, Any], Any]:
+    return lambda name, value: checks.choice(name, value, get_args(words))
+
+
+def _integer(least: int, most: int) -> Callable[[str, Any], int]:
+    return lambda name, value: checks.integer(name, value, least=least, most=most)
+
+
+def _least_0(name: str, value: Any) -> float:
+    return checks.number(name, value, least=0)
+
+
+def _occlusion(name: str, value: Any) -> bool | float:
+    return bool(value) if isinstance(value, (bool, np.bool_)) else checks.number(name, value, above=0)
+
+
+def _size(_: str, value: Any) -> tuple[int, int]:
+    return checked_size(value)
+
+
+def _distance(name: str, value: Any) -> float | None:
+    return None if value is None else _least_0(name, value)
+
+
+def _far(name: str, value: Any) -> Any:
+    if value is not None and not isinstance(value, (Volume, NestedField)):
+        raise ArgumentError(f"{name}: must be a Volume or NestedField from merge(), got {checks.describe(value)}")
+    return value
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """The checked options of a picture; :func:`render` documents them."""
+
+    size: tuple[int, int] = field(default=(512, 512), metadata=row(_size, "Size of the picture, pixels."))
+    primary: Primary = field(default="auto", metadata=row(_one_of(Primary), PRIMARY_HELP))
+    shadows: Shadows = field(
+        default="soft", metadata=row(_one_of(Shadows), "Kind of shadows; area is slow, and the reference for soft.")
+    )
+    ambient_occlusion: bool | float = field(default=False, metadata=row(_occlusion, "Add ambient occlusion."))
+    bounces: int = field(default=0, metadata=row(_integer(0, 4), BOUNCES_HELP))
+    bounce_samples: int = field(
+        default=256, metadata=row(_integer(1, 65536), "Paths of light for each surface with --bounces.")
+    )
+    samples: int = field(
+        default=1, metadata=row(_integer(1, 64), "Colour samples per pixel for smooth edges: 1, 4, 9, 16, ...")
+    )
+    light_scale: int = field(
+        default=1, metadata=row(_integer(1, 2), "2 evaluates light at a quarter of the pixels and upsamples it.")
+    )
+    exposure: float = field(default=1.0, metadata=row(_least_0, "Factor of all light in the picture."))
+    area_samples: int = field(default=64, metadata=row(_integer(1, 4096), "Rays to each light with --shadows area."))
+    far: Volume | NestedField | None = field(default=None, metadata=row(_far))
+    far_distance: float | None = field(default=None, metadata=row(_distance))
+    device: str = field(default="auto", metadata=row(checks.text, DEVICE_HELP))
+    progress: Progress = field(default=None, metadata=row(lambda _, value: value))
+
+    def __post_init__(self) -> None:
+        try:
+            for option in fields(self):
+                value = option.metadata["check"](option.name, getattr(self, option.name))
+                object.__setattr__(self, option.name, value)
+            if self.bounces and self.ambient_occlusion is not False:
+                raise ArgumentError("ambient_occlusion: bounces contain the occlusion already; leave it out")
+            if self.far is None and self.far_distance is not None:
+                raise ArgumentError("far_distance: needs far, a field from merge()")
+        except ArgumentError as error:
+            raise SceneError(str(error)) from None
+
+    @classmethod
+    def of(cls, owner: str, options: RenderOptions) -> Options:
+        """Check the options of a call of the function `owner`; raise SceneError for a wrong one."""
+        known = [option.name for option in fields(cls)]
+        for name in options:
+            if name not in known:
+                raise SceneError(f"{name}: is no option of {owner}(); its options are {', '.join(known)}")
+        return cls(**options)
+
+    def fields_of(self, instances: Sequence[Instance]) -> Fields:
+        """Decide which meshes of the instances need distance fields."""
+        scatters = any(
+            instance.material is not None and any(scattering_rgb(instance.material)) for instance in instances
+        )
+        is_marched = self.primary == "raymarch"
+        return Fields(
+            of_solids=self.shadows != "none"
+            or bool(self.ambient_occlusion)
+            or self.bounces > 0
+            or is_marched
+            or scatters,
+            of_sheets=is_marched,
+        )
+
+    def draw(
+        self,
+        renderer: _core.Renderer,
+        core: _core.Scene,
+        scene: Scene,
+        camera: Camera | None,
+        lights: Sequence[Light] | None,
+        bounds: NDArray[np.float64],
+    ) -> Frame:
+        """Draw the scene `core`, which has the objects of `scene` and these bounds.
+
+        The camera None is the default camera of the scene, and the lights None are the default light of the camera.
+        """
+        width, height = self.size
+        if camera is None:
+            camera = scene.cameras[0] if scene.cameras else Camera.fit(bounds, aspect=width / height)
+        if lights is None:
+            lights = (key_light(camera.pose),)
+        options = {option.name: getattr(self, option.name) for option in fields(self)}
+        device, progress = options.pop("device"), options.pop("progress")
+        options["far"] = [] if self.far is None else field_cache.levels_of(self.far)
+        occlusion = OCCLUSION_SHARE * float(np.linalg.norm(np.diff(bounds, axis=0)))
+        if self.ambient_occlusion is not True:
+            occlusion = float(self.ambient_occlusion)
+        options["ambient_occlusion"] = occlusion or None
+        with progress_callback(progress, "render") as callback:
+            result = renderer.frame(
+                core,
+                camera.pose,
+                fov_deg=camera.fov_deg,
+                height=camera.height,
+                lights=[row_of(light) for light in lights],
+                ambient=scene._ambient_form,
+                background=scene._background,
+                options=options,
+                device=device,
+                progress=callback,
+            )
+        return _frame_of(result, scene, len(lights))
+
+
+def takes_options(function: _Function) -> _Function:
+    """Write the options of a picture into the signature of a function that takes them as ``**options``."""
+    signature = inspect.signature(function)
+    own = [one for one in signature.parameters.values() if one.kind is not inspect.Parameter.VAR_KEYWORD]
+    added = [
+        inspect.Parameter(option.name, inspect.Parameter.KEYWORD_ONLY, default=option.default, annotation=option.type)
+        for option in fields(Options)
+    ]
+    function.__signature__ = signature.replace(parameters=own + added)  # type: ignore[attr-defined]
+    notes = {one.name: one.annotation for one in own + added if one.annotation is not inspect.Parameter.empty}
+    function.__annotations__ = {**notes, "return": signature.return_annotation}
+    return function
+
+
+@former_names(method=METHOD)
+@takes_options
+def render(scene: Any, camera: Camera | None = None, **options: Unpack[RenderOptions]) -> Frame:
     """Draw a scene: find the visible surfaces, then light them through the distance fields.
 
     Parameters
@@ -46,9 +240,9 @@ def render(
         Search for visible surfaces. ``"auto"`` rasterises meshes and traces rays through other objects; ``"raster"``
         draws meshes only; ``"raymarch"`` draws fields only.
     shadows : "soft", "hard", "none" or "area", default "soft"
-        ``"soft"`` estimates penumbrae in proportion to the sizes of the lights, by cone tracing. ``"hard"`` treats
-        lights as points. ``"area"`` casts `area_samples` rays to each light; it is slow, and the reference for
-        ``"soft"``.
+        ``"soft"`` estimates penumbrae in proportion to the sizes of the lights, by cone tracing; a light without a size
+        has hard shadows. ``"hard"`` treats all lights as points. ``"area"`` casts `area_samples` rays to each light; it
+        is slow, and the reference for ``"soft"``.
     ambient_occlusion : bool or float, default False
         Whether nearby surfaces darken ambient light, by seven cones over the hemisphere. A number is the largest
         distance of such surfaces, world units. True uses 0.15 of the diagonal of the scene. Occlusion is evaluated at
@@ -84,9 +278,6 @@ def render(
     far_distance : float, optional
         Distance along the ray from which `far` is used, world units. The default is 8 voxels of `far` at the start
         of the ray.
-    method : "fieldbake" or "article", default "fieldbake"
-        ``"article"`` computes shadows by the march of the article *Mesh Distance Field + Shadow* for comparison:
-        100 steps, hits at 0.01 and a bias of 0.05 world units, one loop over all instances.
     device : str, default "auto"
         ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. Both passes run on the
         device. At most 0.5 % of the pixels differ from the CPU's picture by more than 1/255. Translucent surfaces are
@@ -153,22 +344,38 @@ def render(
     ((64, 64), [-1, 0, 1])
     """
     scene = as_scene(scene)
-    options = Options.checked(
-        size=size,
-        primary=primary,
-        shadows=shadows,
-        ambient_occlusion=ambient_occlusion,
-        bounces=bounces,
-        bounce_samples=bounce_samples,
-        samples=samples,
-        light_scale=light_scale,
-        exposure=exposure,
-        area_samples=area_samples,
-        far=far,
-        far_distance=far_distance,
-        method=method,
-        device=device,
-        progress=progress,
-    )
-    core = scene._core(options.fields_of(scene.instances), device)
-    return options.draw(scene._renderer, core, scene, checked_camera(camera), scene.lights, scene.bounds)
+    checked = Options.of("render", options)
+    core = scene._core(checked.fields_of(scene.instances), checked.device)
+    return checked.draw(scene._renderer, core, scene, checked_camera(camera), scene.lights, scene.bounds)
+
+
+def as_scene(scene: Any) -> Scene:
+    """Convert an object, or a list of objects and instances, to a scene."""
+    return scene if isinstance(scene, Scene) else Scene(scene if isinstance(scene, list) else [scene])
+
+
+def checked_camera(camera: Camera | None) -> Camera | None:
+    """Check a camera; None passes."""
+    if camera is not None and not isinstance(camera, Camera):
+        raise SceneError(f"camera: must be a Camera, got {checks.describe(camera)}; see Camera.from_pose")
+    return camera
+
+
+def _frame_of(result: dict[str, Any], scene: Scene, lights: int) -> Frame:
+    """Make a frame from a result of the core: arrays become its arrays, and the other entries its report."""
+    arrays = {name: value for name, value in result.items() if isinstance(value, np.ndarray)}
+    seconds = result["seconds"]
+    report = {
+        "device": result["device"],
+        "seconds": sum(seconds.values()),
+        "devices": {"primary": result["primary_on"], "light": result["light_on"]},
+        "milliseconds": {stage: 1e3 * duration for stage, duration in seconds.items()},
+        "device_milliseconds": {stage: 1e3 * duration for stage, duration in result["device_seconds"].items()},
+        "reused": result["reused"],
+        "instances": len(scene.instances),
+        "lights": lights,
+        "sheets": result["sheets"],
+        "rays": result["ray_count"],
+        "far_rays": result["far_rays"],
+    }
+    return Frame(arrays, report)

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, overload
+from typing import Any, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..base import checks
 from ..base.errors import ArgumentError
+from ..base.former_names import former_names
 from ..base.grid import Grid, Resolution, make_grid
 from ..base.progress import Progress, part_of, progress_callback
 from ..volumes.volume import Volume
-from .merged import MergedField, Method, Placed, items_of, merge_placed, place
+from .merged import MergedField, Placed, items_of, merge_placed, place
 from .nested import LEAST_SIDE, MAX_LEVELS, NestedField, nested_grids
 
 #: Voxels along the longest side of a merged field.
@@ -28,7 +29,6 @@ def merge(
     bounds: ArrayLike | None = None,
     levels: None = None,
     center: None = None,
-    method: Method = "bound",
     device: str = "auto",
     progress: Progress = None,
 ) -> MergedField: ...
@@ -42,12 +42,12 @@ def merge(
     bounds: ArrayLike | None = None,
     levels: int,
     center: ArrayLike | None = None,
-    method: Method = "bound",
     device: str = "auto",
     progress: Progress = None,
 ) -> NestedField: ...
 
 
+@former_names(method="the page docs/articles/fields_in_unity, which computes the sum of the article")
 def merge(
     scene: Any,
     resolution: Resolution = MERGE_RESOLUTION,
@@ -55,7 +55,6 @@ def merge(
     bounds: ArrayLike | None = None,
     levels: int | None = None,
     center: ArrayLike | None = None,
-    method: Method = "bound",
     device: str = "auto",
     progress: Progress = None,
 ) -> MergedField | NestedField:
@@ -77,11 +76,6 @@ def merge(
     center : (3,) array, optional
         Point that the levels surround, such as the position of the camera, world units. The default is the centre of
         the box. Near the edge of a level, the next finer level is moved inwards.
-    method : "bound" or "article", default "bound"
-        ``"article"`` is the loop of the article, for comparison: each sample is the minimum over all instances of the
-        distance to the box plus the value at the nearest point of the box. It is slow and not a lower bound: in random
-        scenes of six volumes of 20 to 32 voxels it exceeds the distance at 39 to 57 % of the samples outside the boxes,
-        by factors up to 1.23.
     device : str, default "auto"
         ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`. A graphics device finds the instance with the
         least bound at each sample and the CPU evaluates the bound, so the field is the same bit for bit. If the volumes
@@ -139,7 +133,6 @@ def merge(
     True
     """
     checks.text("device", device)
-    checks.choice("method", method, ("bound", "article"))
     if levels is None and center is not None:
         raise ArgumentError("center: is the point that nested levels surround; give levels too")
     baked: dict[tuple[int, int], Volume] = {}
@@ -149,11 +142,9 @@ def merge(
     inner = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
     grid = make_grid(inner, resolution, bounds=bounds)
     if levels is not None:
-        if method != "bound":
-            raise ArgumentError('levels: are merged with method="bound" only')
         may_grow = bounds is None and np.ndim(resolution) == 0
         return _merge_nested(placed, grid, levels, center, may_grow, device, progress)
-    return merge_placed(placed, np.array([grid.lower, grid.upper]), grid.shape, method, device, progress, None)
+    return merge_placed(placed, np.array([grid.lower, grid.upper]), grid.shape, device, progress, None)
 
 
 def _merge_nested(
@@ -179,57 +170,5 @@ def _merge_nested(
         for number, grid in enumerate(nested_grids(outer, count, point)):
             bounds = np.array([grid.lower, grid.upper])
             part = part_of(callback, number, count)
-            merged.append(merge_placed(placed, bounds, grid.shape, "bound", device, part, None))
+            merged.append(merge_placed(placed, bounds, grid.shape, device, part, None))
     return NestedField(merged)
-
-
-class SphereIntersection(NamedTuple):
-    """The circle in which two spheres intersect."""
-
-    #: Centre of the circle, (3,).
-    center: NDArray[np.float64]
-    #: Unit vector from the first centre to the second, (3,).
-    normal: NDArray[np.float64]
-    radius: float
-
-
-def sphere_intersection(s0: ArrayLike, r0: float, s1: ArrayLike, r1: float) -> SphereIntersection:
-    """Intersect two spheres, the construction by which the article bounds the distance beyond a box.
-
-    Let `p` be a point outside a box, `b` the nearest point of the box, `a = |p - b|` and `s` the distance at `b`. The
-    surface lies beyond the plane of the box through `b` and outside the sphere of radius `s` around `b`. The nearest
-    possible points form the circle in which that sphere intersects the plane, at the distance ``sqrt(a^2 + s^2)`` from
-    `p`. The sphere of that radius around `p` passes through the same circle. This is the bound of :func:`merge`.
-
-    Parameters
-    ----------
-    s0, s1 : (3,)
-        Centres of the spheres.
-    r0, r1 : float
-        Radii of the spheres.
-
-    Returns
-    -------
-    SphereIntersection
-        ``.center``, ``.normal``, ``.radius``.
-
-    Raises
-    ------
-    ArgumentError
-        If the spheres do not intersect, or have the same centre.
-
-    Examples
-    --------
-    >>> a, s = 3.0, 4.0
-    >>> circle = sphere_intersection((0, 0, 0), np.hypot(a, s), (0, 0, a), s)
-    >>> circle.center.tolist(), circle.radius
-    ([0.0, 0.0, 3.0], 4.0)
-    """
-    first, second = checks.vector("s0", s0, 3), checks.vector("s1", s1, 3)
-    r0, r1 = checks.number("r0", r0, least=0), checks.number("r1", r1, least=0)
-    apart = second - first
-    d = float(np.linalg.norm(apart))
-    if d == 0 or not abs(r0 - r1) <= d <= r0 + r1:
-        raise ArgumentError(f"r0, r1: spheres of radii {r0:g} and {r1:g} do not intersect at the distance {d:g}")
-    h = 0.5 + (r0 * r0 - r1 * r1) / (2 * d * d)
-    return SphereIntersection(first + h * apart, apart / d, float(np.sqrt(max(0.0, r0 * r0 - (h * d) ** 2))))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +22,8 @@ from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
 
-Method = Literal["bound", "article"]
-
 #: Voxels along the longest side of meshes and shapes that are baked, unless their instance has a resolution.
 GEOMETRY_RESOLUTION = 64
-
-#: The owners of a merged field that cannot be updated.
-NOBODY = np.empty(0, np.uint32)
 
 
 class Placed(NamedTuple):
@@ -118,13 +113,11 @@ class MergedField(Volume):
         >>> field.update([(1, moved)]).sample([(1.2, 0.0, 0.0)]).shape
         (1,)
         """
-        if not self._owners.size:
-            raise SceneError('changed: a field merged with method="article" cannot be updated; merge the scene again')
         placed, indices = self._changed(changed, scene)
         for index in indices:
             if len(placed[index].quadrics) != len(self._placed[index].quadrics):
                 raise SceneError(f"changed: instance {index} has another number of quadrics than before; merge again")
-        return merge_placed(placed, self._bounds, self._shape, "bound", device, progress, (self, indices))
+        return merge_placed(placed, self._bounds, self._shape, device, progress, (self, indices))
 
     def _changed(self, changed: Sequence[Any], scene: Any) -> tuple[list[Placed], list[int]]:
         """List all instances after the change, and the indices of the changed ones."""
@@ -164,7 +157,6 @@ def merge_placed(
     placed: Sequence[Placed],
     bounds: NDArray[np.float64],
     shape: tuple[int, int, int],
-    method: Method,
     device: str,
     progress: Progress,
     earlier: tuple[MergedField, Sequence[int]] | None,
@@ -203,7 +195,7 @@ def merge_placed(
             checks.triple(bounds[0]),
             checks.triple(bounds[1]),
             shape,
-            method=method,
+            method="bound",
             previous=previous,
             device=device,
             progress=callback,
@@ -214,7 +206,8 @@ def merge_placed(
     report = Report(device=facts["device"], seconds=seconds, warnings=tuple(facts.get("warnings", ())))
     field = MergedField._wrap(distances, np.array(bounds), inner, report)
     assert isinstance(field, MergedField)
-    field._owners = NOBODY if owners is None else checks.frozen(owners)
+    assert owners is not None
+    field._owners = checks.frozen(owners)
     field._placed = tuple(placed)
     return field
 

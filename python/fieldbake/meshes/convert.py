@@ -23,8 +23,8 @@ from ..base.errors import MeshError
 from ..base.former_names import former_names
 from .gltf_materials import Document
 from .input_arrays import check_colors, check_faces, check_uv, check_vertices
+from .interop import triangles_of
 from .mesh import Mesh
-from .neighbours import triangles_of
 from .part import ALPHA_MODES, Part
 from .ply_strips import with_strips
 from .referenced_files import resolver_beside

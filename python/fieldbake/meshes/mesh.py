@@ -16,7 +16,7 @@ from ..base.errors import MeshError
 from ..base.optional import optional_module
 from ..base.report import SurfaceReport
 from ..base.viewable import Viewable
-from . import facts
+from . import measures
 from .export import save_mesh
 from .input_arrays import check_colors, check_faces, check_uv, check_vertices
 from .part import Part, check_parts, material_of
@@ -210,7 +210,7 @@ class Mesh(Viewable):
     @cached_property
     def area(self) -> float:
         """Sum of the areas of all faces, square world units."""
-        return facts.area(self.vertices, self.faces)
+        return measures.area(self.vertices, self.faces)
 
     @cached_property
     def volume(self) -> float:
@@ -219,7 +219,7 @@ class Mesh(Viewable):
         For an open mesh: the sum of the signed volumes between its faces and the centre of its box.
         """
         center = self.bounds.mean(axis=0) if len(self.faces) else np.zeros(3)
-        return facts.signed_volume(self.vertices, self.faces, center)
+        return measures.signed_volume(self.vertices, self.faces, center)
 
     @cached_property
     def is_closed(self) -> bool:
@@ -229,7 +229,7 @@ class Mesh(Viewable):
     @cached_property
     def face_normals(self) -> NDArray[np.float64]:
         """Unit normals of the faces by their own winding, (m, 3) float64, read-only."""
-        return checks.frozen(facts.face_normals(self.vertices, self.faces))
+        return checks.frozen(measures.face_normals(self.vertices, self.faces))
 
     @cached_property
     def vertex_normals(self) -> NDArray[np.float64]:
@@ -237,7 +237,7 @@ class Mesh(Viewable):
 
         Zero for vertices without a face.
         """
-        return checks.frozen(facts.vertex_normals(self.vertices, self.faces))
+        return checks.frozen(measures.vertex_normals(self.vertices, self.faces))
 
     @property
     def chord_error(self) -> float:

@@ -15,7 +15,7 @@ from ..base import encodings
 from ..base.threads import set_threads
 from ..meshes.mesh import Mesh
 from .layout import Layout, path_of
-from .plan import Blocks, samples_in_band
+from .shard_plan import Blocks, samples_in_band
 from .store import Place, read_mesh
 
 #: Samples along the side of a window; a shard is baked window by window. Smaller windows skip more far samples.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
-from ..baking.dense import log_warnings, prepare
+from ..baking.dense import log_warnings, prepare, refuse_devices
 from ..base import checks, encodings
 from ..base.encodings import Encoding
 from ..base.errors import ArgumentError
@@ -24,7 +24,7 @@ from ..base.threads import limited_threads
 from ..meshes.convert import MeshLike
 from ..meshes.mesh import Mesh
 from ..queries.common import Sign
-from . import content, executors, plan, shards, store
+from . import content, executors, shard_plan, shards, store
 from .layout import MOST_SHARD, Layout, path_of, shard_key
 from .zarr_volume import ZarrVolume
 
@@ -40,24 +40,28 @@ def bake_to_zarr(
     store: str | os.PathLike[str] | Store,
     resolution: Resolution = 4096,
     *,
+    voxel_size: float | None = None,
+    bounds: ArrayLike | None = None,
+    margin: float = 0.1,
+    sign: Sign = "auto",
     band: float = 3,
+    two_sided: bool = False,
+    thickness: float | None = None,
     shard: int = 256,
     chunk: int = 32,
     encoding: Encoding = "snorm16",
     executor: Any = None,
     resume: bool = True,
-    progress: Progress = None,
-    bounds: ArrayLike | None = None,
-    margin: float = 0.1,
-    sign: Sign = "auto",
     threads: int | None = None,
     storage_options: Mapping[str, Any] | None = None,
+    device: str = "auto",
+    progress: Progress = None,
 ) -> ZarrVolume:
     """Bake a mesh into a Zarr store; the grid may be larger than memory.
 
     Parameters
     ----------
-    mesh, bounds, margin, sign
+    mesh, voxel_size, bounds, margin, sign
         As for :func:`bake`.
     store : path, URL or Zarr store
         A folder, a URL of fsspec (``s3://bucket/name``, ``memory://name``, ...) or any store of Zarr 3.
@@ -65,6 +69,8 @@ def bake_to_zarr(
         As for :func:`bake`.
     band : float, default 3
         Half width of the band around the surface, voxels. Larger distances are clamped to it.
+    two_sided, thickness
+        Not available: :func:`bake` and :func:`bake_sparse` bake sheets with a thickness.
     shard : int, default 256
         Samples along the side of a shard: one task, and one file or object of the store.
     chunk : int, default 32
@@ -77,12 +83,14 @@ def bake_to_zarr(
         of this process work on one shard after another.
     resume : bool, default True
         Keep the shards that a run with the same mesh and options has stored. False deletes the contents of the store.
-    progress : bool or callable, optional
-        True draws a bar on stderr; a callable receives the finished fraction of shards.
     threads : int, optional
         Threads of each worker process. By default processes times threads is the number of cores.
     storage_options : mapping, optional
         Options of the file system of a URL.
+    device : str, default "auto"
+        ``"auto"`` or ``"cpu"``: shards are baked on the CPU.
+    progress : bool or callable, optional
+        True draws a bar on stderr; a callable receives the finished fraction of shards.
 
     Returns
     -------
@@ -127,6 +135,9 @@ def bake_to_zarr(
     """
     place = _place(store, storage_options)
     checks.flag("resume", resume)
+    refuse_devices("bake_to_zarr", device)
+    if checks.flag("two_sided", two_sided) or thickness is not None:
+        raise ArgumentError("two_sided, thickness: bake_to_zarr bakes no sheets; use bake or bake_sparse")
     limit = None if threads is None else checks.integer("threads", threads, least=1, most=2**16)
     executors.checked_executor(executor)
     if not place.is_shared and not executors.is_local(executor):
@@ -134,7 +145,7 @@ def bake_to_zarr(
             f"executor: its processes cannot see {place}, which is in the memory of this process; use a path or a URL, "
             "or executor=None"
         )
-    layout, surface = _checked_layout(mesh, resolution, band, shard, chunk, encoding, bounds, margin, sign)
+    layout, surface = _checked_layout(mesh, resolution, voxel_size, bounds, margin, sign, band, shard, chunk, encoding)
     shards.keep_mesh(layout.mesh, surface)
     group, tasks = _planned(place, layout, surface, resume)
     if tasks:
@@ -158,13 +169,14 @@ def _place(target: Any, options: Mapping[str, Any] | None) -> store.Place:
 def _checked_layout(
     mesh: MeshLike,
     resolution: Resolution,
+    voxel_size: float | None,
+    bounds: ArrayLike | None,
+    margin: float,
+    sign: Sign,
     band: float,
     shard: int,
     chunk: int,
     encoding: str,
-    bounds: ArrayLike | None,
-    margin: float,
-    sign: Sign,
 ) -> tuple[Layout, Mesh]:
     width = checks.number("band", band, above=0)
     side = checks.integer("shard", shard, least=1, most=MOST_SHARD)
@@ -172,7 +184,7 @@ def _checked_layout(
     if side % part:
         raise ArgumentError(f"chunk: must divide shard ({side}), got {part}")
     checks.choice("encoding", encoding, encodings.NAMES)
-    job = prepare(mesh, resolution, None, bounds, margin, sign, False, None)
+    job = prepare(mesh, resolution, voxel_size, bounds, margin, sign, False, None)
     # The names of the sign methods are checked by the core.
     _core.contains(job.mesh._core, np.empty((0, 3)), sign=job.sign)
     grid = job.grid
@@ -237,11 +249,11 @@ def _planned_tasks(group: Any, layout: Layout, mesh: Mesh) -> list[Task]:
     shape = tuple(n + 1 for n in reversed(layout.counts(0)))
 
     def distances(found: NDArray[np.float32]) -> NDArray[np.float32]:
-        return plan.far_distances(mesh, layout) if np.isnan(found).any() else found
+        return shard_plan.far_distances(mesh, layout) if np.isnan(found).any() else found
 
     store.complete(group, "far/distances", shape, np.float32, np.nan, distances)
     for level in range(layout.level_count):
-        stored, near = plan.stored_shards(mesh, layout, level)
+        stored, near = shard_plan.stored_shards(mesh, layout, level)
         # Some shards of the plan turned out to be wholly outside; their state is 0.
         wanted = stored.transpose(2, 1, 0)
         path = f"far/states/{level}"
@@ -249,7 +261,7 @@ def _planned_tasks(group: Any, layout: Layout, mesh: Mesh) -> list[Task]:
         stored &= states.transpose(2, 1, 0) != 0
         keys = store.stored_keys(group, level, clean=True)
         for part in (stored & near, stored & ~near):
-            for x, y, z in plan.morton_order(np.argwhere(part)).tolist():
+            for x, y, z in shard_plan.morton_order(np.argwhere(part)).tolist():
                 if shard_key(level, (x, y, z)) not in keys:
                     tasks.append((level, (x, y, z)))
     return tasks

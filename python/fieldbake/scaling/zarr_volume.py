@@ -18,8 +18,8 @@ from ..base.report import bytes_text
 from ..files.container import read_report
 from ..meshes.isosurface import MeshSource, Source
 from ..meshes.mesh import Mesh
-from ..volumes.blocks import SIDE
 from ..volumes.grid_field import GridField
+from ..volumes.level_set_blocks import SIDE
 from ..volumes.quantized import QuantizedVolume
 from ..volumes.sparse import SparseVolume, restore_field
 from ..volumes.volume import Volume

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError, SceneError
 
@@ -247,6 +248,21 @@ def cone_cosines(light: SpotLight) -> tuple[float, float]:
     """Compute the cosines of the inner and the outer angle of a cone."""
     inner, outer = np.cos(np.radians([light.inner_deg, light.outer_deg])).tolist()
     return inner, outer
+
+
+def row_of(light: Light) -> _core.DirectionalRow | _core.PointRow:
+    """Convert a light to its row in the core."""
+    red, green, blue = (channel * light.intensity for channel in light.color)
+    if isinstance(light, DirectionalLight):
+        slope = float(np.tan(np.radians(min(light.angle_deg, 170.0) / 2)))
+        return {"direction": light.direction, "slope": slope, "color": (red, green, blue)}
+    return {
+        "position": light.position,
+        "radius": light.radius,
+        "color": (red, green, blue),
+        "range": light.range,
+        "spot": (light.direction, cone_cosines(light)) if isinstance(light, SpotLight) else None,
+    }
 
 
 def key_light(pose: NDArray[np.float64]) -> DirectionalLight:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..meshes.mesh import Mesh
-from ..volumes.blocks import SIDE, Blocks
+from ..volumes.level_set_blocks import SIDE, Blocks
 
 Array = NDArray[np.float64]
 

@@ -19,9 +19,9 @@ from ..base.report import count_text
 from ..meshes.convert import MeshLike, as_mesh
 from ..meshes.isosurface import MeshSource, Source, extract
 from ..meshes.mesh import Mesh
-from ..volumes.blocks import level_set
+from ..volumes.level_set_blocks import level_set
+from .deviation import from_ideal, to_ideal
 from .fields import Field, Intersection, MeshField, OuterField, Shifted, TangentSource, Wall, complement
-from .ideal import from_ideal, to_ideal
 from .report import SolidReport
 from .simplification import check_tolerance, simplified
 

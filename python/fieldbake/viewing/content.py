@@ -45,7 +45,7 @@ from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
 from . import records
-from .pages import pages_of
+from .atlas_preview import pages_of
 from .records import Record
 
 #: Voxels along the longest side of the volume that takes the place of a shape without a function in the shader.

@@ -10,6 +10,7 @@ from ..atlases.atlas import Atlas
 from ..base import checks
 from ..base.errors import ArgumentError, SceneError
 from ..base.notices import warn
+from ..base.viewable import register
 from ..drawing.options import checked_size
 from ..drawing.raymarching import raymarch
 from ..drawing.rendering import render
@@ -21,8 +22,8 @@ from ..scenes.scene import Scene
 from ..shapes.shape import Shape
 from ..volumes.volume import Volume
 from .content import Content, content_of
+from .html import page_of
 from .output import PageOutput
-from .page import page_of
 from .parameters import model_of
 
 #: Size of the picture of an object in a notebook, pixels.
@@ -120,3 +121,6 @@ def _range(name: str, value: Any) -> tuple[float, float]:
     if not least < largest:
         raise ArgumentError(f"parameters[{name!r}]: the largest must be above the least, got {value!r}")
     return least, largest
+
+
+register(picture=picture, to_html=to_html, show=show)

@@ -8,7 +8,7 @@ import math
 from typing import Any
 
 from .content import Content
-from .page import page_of
+from .html import page_of
 
 #: Height of a row of controls below the canvas, and the width of all controls in one row, CSS pixels.
 ROW_PX, CONTROLS_PX = 28, 620

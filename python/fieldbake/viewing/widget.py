@@ -14,8 +14,8 @@ import traitlets
 from ..base.errors import ArgumentError
 from ..scenes.camera import Camera
 from .content import Content, check_perspective
+from .html import bundle, page_of
 from .output import STATIC, frame_html
-from .page import bundle, page_of
 
 #: Longest side of the picture in the output of a cell, pixels.
 PICTURE_PX = 640

@@ -15,7 +15,7 @@ from ..base.progress import Progress, part, watched
 from ..base.viewable import Viewable
 from ..meshes.isosurface import Source, as_source, extract
 from ..meshes.mesh import Mesh
-from .neighbours import Neighbours
+from .interop import Interop
 
 Filter = Literal["linear", "nearest"]
 
@@ -23,7 +23,7 @@ Filter = Literal["linear", "nearest"]
 BORDER, MOSTLY = 32, 0.5
 
 
-class GridField(Viewable, Neighbours):
+class GridField(Viewable, Interop):
     """A field on a grid over a box. Immutable."""
 
     __slots__ = ("_geometry",)

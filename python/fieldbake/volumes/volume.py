@@ -23,7 +23,7 @@ from ..meshes.isosurface import Source
 from ..meshes.mesh import Mesh
 from . import writers
 from .conventions import Engine, Handedness, Up
-from .neighbours import grid_of_xarray
+from .interop import grid_of_xarray
 from .shaded import Shaded
 from .shader import ShaderBuffers, volume_buffers, volume_text
 from .stored_samples import StoredSamples, check_distances

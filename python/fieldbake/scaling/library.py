@@ -17,9 +17,10 @@ from typing import Any, Literal
 from ..baking.dense import bake
 from ..base import checks
 from ..base.errors import ArgumentError, Error, FormatError
+from ..base.former_names import former_names
 from ..base.progress import Progress, progress_callback
-from . import content, executors, ledger, results
-from .child import Child, Portable, UnsendableError
+from . import content, executors, records, results
+from .process import Child, Portable, UnsendableError
 from .results import Asset, process
 from .store import import_zarr
 
@@ -33,6 +34,7 @@ OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
 INTERVAL = 0.1
 
 
+@former_names(workers="threads")
 def bake_many(
     items: Iterable[Any] | Mapping[str, Any],
     out: str | os.PathLike[str],
@@ -41,10 +43,10 @@ def bake_many(
     on_error: Literal["record", "raise"] = "record",
     resume: bool = True,
     limit_s: float | None = None,
-    workers: int | None = None,
-    progress: Progress = None,
+    threads: int | None = None,
     format: str = "npz",
     encoding: str | None = None,
+    progress: Progress = None,
     **options: Any,
 ) -> list[dict[str, Any]]:
     """Bake each item of a library into a file of its own.
@@ -66,17 +68,19 @@ def bake_many(
         Skip items whose content and options are those of a finished result. Failed items are tried again.
     limit_s : float, optional
         Time limit of an item, seconds. An item that takes longer is stopped and counts as failed.
-    workers : int, optional
-        Number of items that are baked at the same time without an `executor`. By default the number of cores.
-    progress : bool or callable, optional
-        True draws a bar on stderr; a callable receives the finished fraction of items.
+    threads : int, optional
+        Number of threads that bake without an `executor`, each one item at a time in a process of its own. By default
+        the number of cores.
     format : str, default "npz"
         Ending of the results; those of :meth:`Volume.save`.
     encoding : str, optional
         Encoding of the results, as for :meth:`Volume.save`. In ``.npz`` files it is that of
         :meth:`Volume.quantize`, with `band` or 4 voxels.
+    progress : bool or callable, optional
+        True draws a bar on stderr; a callable receives the finished fraction of items.
     **options
-        Options of :func:`bake`, for all items.
+        Options of :func:`bake`, for all items: `resolution`, `voxel_size`, `bounds`, `margin`, `sign`, `band`,
+        `two_sided`, `thickness` and `device`.
 
     Returns
     -------
@@ -111,10 +115,11 @@ def bake_many(
     >>> first[0]["status"], second[0]["status"]
     ('done', 'skipped')
     """
-    shared = (executor, on_error, resume, limit_s, workers, progress, format, encoding)
+    shared = (executor, on_error, resume, limit_s, threads, progress, format, encoding)
     return Run("bake", checks.path(out, "out"), options, *shared).rows(items)
 
 
+@former_names(workers="threads")
 def sample_many(
     items: Iterable[Any] | Mapping[str, Any], out: str | os.PathLike[str], **options: Any
 ) -> list[dict[str, Any]]:
@@ -144,7 +149,7 @@ class Run:
     on_error: Literal["record", "raise"] = "record"
     resume: bool = True
     limit_s: float | None = None
-    workers: int | None = None
+    threads: int | None = None
     progress: Progress = None
     format: str = "npz"
     encoding: str | None = None
@@ -159,10 +164,10 @@ class Run:
         checks.flag("resume", self.resume)
         if self.limit_s is not None:
             checks.number("limit_s", self.limit_s, above=0)
-        if self.workers is not None:
-            checks.integer("workers", self.workers, least=1, most=1024)
+        if self.threads is not None:
+            checks.integer("threads", self.threads, least=1, most=1024)
             if self.executor is not None:
-                raise ArgumentError("workers: does not apply with an executor, which has its own workers")
+                raise ArgumentError("threads: does not apply with an executor, which has its own workers")
         self.ending, self.encoding = results.checked_format(self.kind, self.out, self.format, self.encoding)
         results.check_options(self.kind, self.options)
         self.options_hash = content.of_options({"kind": self.kind, "encoding": self.encoding, **self.options})
@@ -171,7 +176,7 @@ class Run:
         """Bake or sample all items."""
         named = named_items(items)
         check_stems(named, self.ending)
-        earlier = ledger.read(self.out)
+        earlier = records.read(self.out)
         self._check_kind(earlier[name] for name in (f"{stem}{self.ending}" for stem, _ in named) if name in earlier)
         if not self.resume:
             earlier = {}
@@ -194,16 +199,16 @@ class Run:
                 found = None if callable(item) and not _is_mesh(item) else content.of_item(item)
             except Exception as error:  # a missing or damaged file is an error of this item alone
                 row.update(error=_text(error), seconds=time.perf_counter() - start)
-                ledger.append(self.out, {**row, "kind": self.kind})
+                records.append(self.out, {**row, "kind": self.kind})
                 first_error = first_error or _named(error, row)
                 continue
             name = f"{stem}{self.ending}"
-            if found is not None and ledger.is_done(self.out, last, name, found, self.options_hash):
+            if found is not None and records.is_done(self.out, last, name, found, self.options_hash):
                 assert last is not None
                 row.update(status="skipped", seconds=0.0, report=last.get("report"))
                 continue
             known = last.get("content") if last is not None and found is None else None
-            if last is not None and ledger.is_done(self.out, last, name, known, self.options_hash):
+            if last is not None and records.is_done(self.out, last, name, known, self.options_hash):
                 row["report"] = last.get("report")
             else:
                 known = None
@@ -264,7 +269,7 @@ class Run:
             yield from executors.run_tasks(executor, work, tasks)
             return
         cores = executors.available_cores()
-        workers = min(self.workers or cores, len(assets))
+        workers = min(self.threads or cores, len(assets))
         children: list[Child] = []
         local = threading.local()
 
@@ -296,7 +301,7 @@ class Run:
                 "bytes": None,
                 **{k: v for k, v in (facts or {}).items() if k in ("content", "bytes")},
             }
-            ledger.append(self.out, {**row, **proof, "options": self.options_hash, "kind": self.kind})
+            records.append(self.out, {**row, **proof, "options": self.options_hash, "kind": self.kind})
         if error is not None and self.on_error == "raise":
             raise _named(error, row)
 

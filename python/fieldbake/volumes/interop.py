@@ -55,7 +55,7 @@ class FieldCheck:
         return self.sign == "negative inside" and abs(self.gradient - 1) <= 0.05 and self.steepest <= 1.01
 
 
-class Neighbours(GridBox):
+class Interop(GridBox):
     """A grid with methods that make objects of other libraries from it."""
 
     __slots__ = ()

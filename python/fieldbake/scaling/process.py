@@ -22,7 +22,7 @@ from ..base.errors import Error
 _LENGTH = struct.Struct("<Q")
 
 #: Program of a child. Its import path is the path of its parent. The main program of the parent is not imported again.
-_PROGRAM = "import sys; sys.path[:] = {path!r}; from fieldbake.scaling import child, many; child.serve()"
+_PROGRAM = "import sys; sys.path[:] = {path!r}; from fieldbake.scaling import library, process; process.serve()"
 
 
 class ChildError(Error):
