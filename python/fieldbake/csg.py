@@ -23,8 +23,9 @@ from . import _core
 from .base import checks
 from .base.errors import ShapeError
 from .base.former_names import refusal
+from .base.languages import Language
 from .shapes.shader_function import FUNCTION
-from .shapes.shape import Language, Shape, checked_shape
+from .shapes.shape import Shape, checked_shape
 
 Method = Literal["octree", "aabb"]
 

@@ -1,8 +1,8 @@
 //! Level sets of shapes as surfaces: the cells of a grid that they cross, and their exact tangent planes.
 //!
 //! Blocks whose centre is farther from the level than the Lipschitz constant times their half diagonal contain no part
-//! of the surface; the samples of all other blocks are evaluated. The same division of a grid for fields of meshes is in
-//! `python/fieldbake/volumes/level_set_blocks.py`.
+//! of the surface; the samples of all other blocks are evaluated. The same division of a grid for fields of meshes is
+//! in `python/fieldbake/volumes/level_set_blocks.py`.
 //!
 //! A tangent plane comes from one evaluation with [`Dual`] numbers: the field is replaced by its linear function there,
 //! and the plane is the level set of this function. On the flat side of a crease the plane is therefore exact even

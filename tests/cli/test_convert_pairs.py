@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 import fieldbake as fb
 from fieldbake.cli.application import app
 from fieldbake.cli.commands import MESHES
-from fieldbake.files.container import ENDINGS
+from fieldbake.files.registry import ENDINGS
 
 pytestmark = pytest.mark.slow
 

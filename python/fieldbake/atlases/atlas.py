@@ -15,13 +15,14 @@ from .. import _core
 from ..base import checks, encodings
 from ..base.encodings import Encoding
 from ..base.errors import AtlasError, FormatError
+from ..base.languages import Language
 from ..base.loadable import Loadable
 from ..base.report import Report, bytes_text, count_text
 from ..base.viewable import Viewable
-from ..files import container
+from ..files import container, registry
+from ..files.formats import PagesFile, head
 from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
-from . import images
 from .pages import (
     ARRAYS,
     BLOCK,
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 AtlasFilter = Literal["linear", "nearest"]
-Language = Literal["wgsl", "glsl", "hlsl", "msl"]
 
 
 class AtlasEntry:
@@ -418,19 +418,22 @@ class Atlas(PageStore, Viewable, Loadable):
         target = checks.path(path)
         ending = target.suffix.lower()
         with self._lock:
-            if ending not in images.ENDINGS:
+            form = registry.format_of(ending, "atlas")
+            if form is None or form.write is None:
+                registry.check_ending(target, "atlas")
                 reports = json.dumps([report.to_dict() for report in self._reports]).encode()
                 arrays = {name: getattr(self, f"_{name}") for name in ("pages", *ARRAYS)}
                 arrays["blocks"] = rows_of(self._blocks)
                 arrays["reports"] = np.frombuffer(reports, np.uint8)
                 arrays["names"] = np.array(self._names, np.str_)
-                container.write(target, {**container.head("atlas", self._encoding), **self._facts()}, arrays)
+                container.write(target, {**head("atlas", self._encoding), **self._facts()}, arrays)
                 return
             if not self._page_count:
                 raise FormatError(f"{target}: the atlas is empty, and an image needs at least one page")
             saved = as_written(self, ending)
             volumes = [saved._volume_facts(i) for i in range(len(saved._blocks))]
-            images.write(target, saved._pages, {**saved._facts(), "pages": saved._page_count, "volumes": volumes})
+            facts = {**saved._facts(), "pages": saved._page_count, "volumes": volumes}
+            form.write(PagesFile(target, saved._pages, facts))
 
     def _facts(self) -> dict[str, Any]:
         """Metadata of the whole atlas that a file stores."""

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
 
+#: Names of encodings: of all samples, of those with fewer than 32 bits, of pages on the web, and of the texels of 3D
+#: textures.
 Encoding = Literal["float32", "float16", "snorm16", "snorm8"]
+QuantizedEncoding = Literal["float16", "snorm16", "snorm8"]
+PageEncoding = Literal["snorm8", "float16", "float32"]
+TextureEncoding = Literal[Encoding, "unorm8"]
 
 #: Element type of each encoding. All but float32 are multiplied by a scale in world units. A normalised integer counts
 #: steps of 1 / STEPS of the scale.
@@ -24,9 +29,10 @@ DTYPES: dict[str, np.dtype[Any]] = {
 #: such as three.js that do not support signed bytes.
 TEXTURE_DTYPES = {**DTYPES, "unorm8": np.dtype(np.uint8)}
 
-#: Names of all encodings, and of those with fewer than 32 bits per sample.
-NAMES = tuple(DTYPES)
-QUANTIZED = NAMES[1:]
+#: Names of all encodings, of those with fewer than 32 bits per sample, and of those of pages on the web.
+NAMES: tuple[str, ...] = get_args(Encoding)
+QUANTIZED: tuple[str, ...] = get_args(QuantizedEncoding)
+PAGE_NAMES: tuple[str, ...] = get_args(PageEncoding)
 
 #: Largest magnitude of the normalised integers, which represents the scale.
 STEPS = {"snorm16": 32767, "snorm8": 127}

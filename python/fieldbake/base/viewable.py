@@ -5,7 +5,9 @@ from __future__ import annotations
 import importlib
 import os
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
+
+from .encodings import PageEncoding
 
 #: The functions ``picture``, ``to_html`` and ``show``, which the package `viewing` registers when it is imported.
 _FUNCTIONS: dict[str, Callable[..., Any]] = {}
@@ -44,7 +46,7 @@ class Viewable(Pictured):
         path: str | os.PathLike[str] | None = None,
         *,
         camera: Any = None,
-        encoding: Literal["snorm8", "float16", "float32"] = "snorm8",
+        encoding: PageEncoding = "snorm8",
         size: tuple[int, int] = (640, 480),
     ) -> str:
         """Write a live view as one HTML page, which needs no network and no server.

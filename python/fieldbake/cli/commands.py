@@ -10,8 +10,10 @@ import typer
 
 import fieldbake as fb
 
-from ..atlases.atlas import Language, as_written
-from ..files.container import ENDINGS
+from ..atlases.atlas import as_written
+from ..base import encodings
+from ..base.languages import Language
+from ..files.registry import ENDINGS
 from ..queries.common import Sign
 from ..scaling.library import distinct_stems
 from ..volumes import writers
@@ -201,7 +203,7 @@ def bake(
             bricks: dict[str, Any] = {"tolerance": tolerance, "encoding": encoding, **surface}
             # Bricks have all distances up to their band minus half the diagonal of a voxel. A level set from them needs
             # a band that is wider by a voxel.
-            reach = 4.0 if band is None else band + (ending in writers.SPARSE_ENDINGS)
+            reach = 4.0 if band is None else band + (ending in ENDINGS["sparse"][1:])
             volume = fb.bake_sparse(geometries, resolution, band=reach, **bricks)
             volume = save_field(volume, target, None, band, engine, mipmaps=mipmaps)
         else:
@@ -250,9 +252,7 @@ def pack(
         ),
     ] = "4096",
     gutter: Annotated[int, typer.Option(help="Width of the copied border around each slice, texels.")] = 1,
-    encoding: Annotated[
-        Literal["float32", "float16", "snorm16", "snorm8"], typer.Option(help="Encoding of the stored distances.")
-    ] = "float32",
+    encoding: Annotated[encodings.Encoding, typer.Option(help="Encoding of the stored distances.")] = "float32",
     band: Annotated[float, typer.Option(help="Half width of the band that snorm encodings represent, voxels.")] = 4.0,
     shader: Annotated[
         Path | None, typer.Option(help="File for the sampling functions: .wgsl, .glsl, .hlsl or .metal.")
@@ -268,7 +268,7 @@ def pack(
     sides = (resolution,) * 3 if layout == "strips" and isinstance(resolution, int) else resolution
     volumes = []
     for file in files:
-        if file.suffix.lower() in (".npz", *writers.ENDINGS):
+        if file.suffix.lower() in ENDINGS["volume"]:
             volume = fb.load(file)
             if isinstance(volume, fb.SparseVolume):
                 volume = volume.to_volume()

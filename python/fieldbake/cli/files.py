@@ -10,11 +10,9 @@ import typer
 
 import fieldbake as fb
 
-from ..atlases import images
 from ..atlases.atlas import as_written
 from ..files import sidecar
-from ..files.container import ENDINGS
-from ..volumes import writers
+from ..files.registry import ENDINGS, WITH_SIDECAR
 from .application import app, show_rows
 from .commands import MESHES
 from .saving import Encoding, Engine, check_encoding, save_field
@@ -111,9 +109,9 @@ def _field_of(path: Path) -> Path:
         owner = path.with_suffix("")
     elif path.name.endswith(".preview.png"):
         owner = path.with_name(path.name.removesuffix(".preview.png") + ".png")
-    return owner if owner.suffix.lower() in sidecar.ENDINGS and sidecar.beside(owner).is_file() else path
+    return owner if owner.suffix.lower() in WITH_SIDECAR and sidecar.beside(owner).is_file() else path
 
 
 def _load(path: Path) -> Any:
-    is_ours = path.suffix.lower() in (".npz", *writers.ENDINGS, *images.ENDINGS)
+    is_ours = path.suffix.lower() in FIELDS
     return fb.load(path) if is_ours else fb.load_mesh(path)

@@ -13,7 +13,7 @@ from rich.table import Table
 import fieldbake as fb
 
 from ..drawing.frame import check_picture, save_image
-from ..files.container import ENDINGS
+from ..files.registry import ENDINGS
 from . import demo as demonstration
 from .application import app, err, out
 from .commands import MESHES, Device, Resolution, parse_vector

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
 import fieldbake as fb
 
+from ..base import encodings
+from ..base.encodings import TextureEncoding
+from ..files.registry import ENDINGS, format_of
 from ..volumes import conventions, writers
 
-Encoding = Literal["float32", "float16", "snorm16", "snorm8", "unorm8"]
+Encoding = TextureEncoding
 Engine = Annotated[
     conventions.Engine | None,
     typer.Option(help="Axes, units and import settings of an engine."),
@@ -31,9 +34,9 @@ def save_field(
     ending = target.suffix.lower()
     options: dict[str, Any] = {"engine": engine} if engine is not None else {}
     if isinstance(field, fb.SparseVolume):
-        as_bricks = ending in writers.SPARSE_ENDINGS or (ending == ".npz" and encoding is None and engine is None)
+        as_bricks = ending in ENDINGS["sparse"][1:] or (ending == ".npz" and encoding is None and engine is None)
         if as_bricks:
-            if ending in writers.SPARSE_ENDINGS:
+            if ending in ENDINGS["sparse"][1:]:
                 options |= {"band": band, "encoding": encoding}
             field.save(target, **options)
             return field
@@ -51,6 +54,7 @@ def save_field(
 
 def check_encoding(ending: str, encoding: str) -> None:
     """Raise an error before any work if files with this ending do not have the encoding."""
-    known = writers.ENCODINGS.get(ending, ("float32", "float16", "snorm16", "snorm8"))
+    form = format_of(ending, "volume")
+    known = encodings.NAMES if form is None or ending == ".npz" else form.encodings
     if encoding not in known:
         raise typer.BadParameter(f"{ending} files hold {', '.join(known)}, got {encoding}", param_hint="--encoding")

@@ -9,7 +9,7 @@ import typer
 
 import fieldbake as fb
 
-from ..files.container import ENDINGS
+from ..files.registry import ENDINGS
 from .application import app, show_rows
 from .commands import MESHES, parse_vector, resolution_option
 from .streams import check_output

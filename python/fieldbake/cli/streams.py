@@ -19,24 +19,16 @@ import typer
 import fieldbake as fb
 
 from ..files.container import check_target, listed
+from ..files.registry import FORMATS
 from .application import Clobber
 
-#: First bytes of files, and the endings of their names.
+#: First bytes of files, and the endings of their names: fields, atlases and meshes.
 _SIGNATURES = (
-    (b" BDV\0\0\0\0", ".vdb"),
-    (b"NanoVDB", ".nvdb"),
-    (b"\xabKTX 20", ".ktx2"),
-    (b"VF_", ".vf"),
-    (b"NRRD", ".nrrd"),
-    (b"PK\x03\x04", ".npz"),
-    (b"DDS ", ".dds"),
-    (b"\x76\x2f\x31\x01", ".exr"),
+    *((first, one.ending) for one in FORMATS for first in one.sniff),
     (b"glTF", ".glb"),
     (b"ply", ".ply"),
     (b"OFF", ".off"),
     (b"solid ", ".stl"),
-    (b"<?xml", ".vti"),
-    (b"<VTKFile", ".vti"),
     (b"{", ".gltf"),
 )
 #: A line of an OBJ file, which has no signature.

@@ -11,7 +11,7 @@ import typer
 
 import fieldbake as fb
 
-from ..viewing.hosts import ENCODINGS
+from ..base.encodings import PAGE_NAMES
 from .application import app, out
 
 #: Kinds of files that hold a whole scene.
@@ -33,8 +33,8 @@ def view(
     Views draw distance fields: meshes have the colours of their materials, and no textures and no opacity. The command
     render draws both.
     """
-    if encoding not in ENCODINGS:
-        raise typer.BadParameter(f"'{encoding}' must be one of {', '.join(ENCODINGS)}", param_hint="--encoding")
+    if encoding not in PAGE_NAMES:
+        raise typer.BadParameter(f"'{encoding}' must be one of {', '.join(PAGE_NAMES)}", param_hint="--encoding")
     try:
         width, height = (int(side) for side in size.lower().split("x"))
     except ValueError:

@@ -37,35 +37,14 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from .. import _core
 from ..base import checks
 from ..base.errors import FormatError
 from ..base.report import Report
 from . import temporary
+from .formats import VERSION, Format
 
-#: The newest version of the format, and the first version that contains each later kind.
-VERSION = 3
-FIRST_VERSION = {"quantized": 2, "sparse": 2, "nested": 2}
-#: Since this version float16 has a scale. Before it, stored values were distances.
-SCALED_FLOAT16_VERSION = 3
-
-#: Name of each kind in messages, and the endings of the files that can store it.
-_NAMES = {
-    "volume": "a volume",
-    "quantized": "a volume",
-    "sparse": "a sparse volume",
-    "nested": "a nested field",
-    "atlas": "an atlas",
-}
-#: Files of other programs that hold a grid.
-GRID_ENDINGS = (".vdb", ".nvdb", ".vti", ".nrrd", ".dds", ".ktx2", ".vf", ".exr")
-ENDINGS: dict[str, tuple[str, ...]] = {
-    "volume": (".npz", *GRID_ENDINGS),
-    "quantized": (".npz", *GRID_ENDINGS),
-    "sparse": (".npz", ".vdb", ".nvdb"),
-    "nested": (".npz",),
-    "atlas": (".npz", ".exr", ".png"),
-}
+#: Each class fills its own container, and ``loading/npz.py`` reads them.
+FORMATS = (Format(".npz", ("volume", "quantized", "sparse", "nested", "atlas"), None, None, (b"PK\x03\x04",)),)
 
 #: Largest size of the JSON header, bytes. It usually has about a kilobyte.
 MAX_HEADER_BYTES = 4 << 20
@@ -74,33 +53,12 @@ MAX_HEADER_BYTES = 4 << 20
 CHUNK_BYTES = 16 << 20
 
 
-def head(kind: str, encoding: str = "float32") -> dict[str, Any]:
-    """Make the first entries of a header."""
-    version = SCALED_FLOAT16_VERSION if encoding == "float16" else FIRST_VERSION.get(kind, 1)
-    return {"format": "fieldbake", "kind": kind, "version": version, "written_by": f"fieldbake {_core.__version__}"}
-
-
 def write(path: str | os.PathLike[str], header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
     """Write an archive of a header and arrays. The file appears only when it is complete."""
     target = checks.path(path)
-    check_ending(target, header["kind"])
     members: dict[str, Any] = {"header": np.array(json.dumps(header)), **arrays}
     with atomic_write(target) as stream:
         np.savez(stream, **members)
-
-
-def check_ending(target: Path, kind: str) -> None:
-    """Raise unless a file is an .npz archive; the message names all endings of this kind of object."""
-    if (ending := target.suffix.lower()) != ".npz":
-        hint = "; to_volume().save() writes it" if kind in ("sparse", "nested") and ending in ENDINGS["volume"] else ""
-        raise FormatError(
-            f"{target}: {_NAMES[kind]} is written as {endings(kind)}, got the ending '{target.suffix}'{hint}"
-        )
-
-
-def endings(kind: str) -> str:
-    """List the endings of the files that can store a kind of object, for a message."""
-    return listed(ENDINGS[kind])
 
 
 def listed(words: Iterable[str]) -> str:

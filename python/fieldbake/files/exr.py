@@ -15,12 +15,20 @@ from __future__ import annotations
 import struct
 import zlib
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import _core
+from ..base import checks, encodings
+from ..base.errors import FormatError
 from ..base.threads import thread_count
+from . import flipbook, sidecar
+from .formats import FieldFile, Format, Pages, PagesFile, Texels, shares
+from .pages import pages_of
+from .texture_files import as_texels
 
 #: Rows of a block, and the code of the compression with such blocks.
 BLOCK_ROWS, ZIP = 16, 3
@@ -70,3 +78,63 @@ def _block(stored: NDArray[Any], row: int) -> bytes:
     if len(content) >= plain.nbytes:
         content = plain.tobytes()
     return struct.pack("<2i", row, len(content)) + content
+
+
+def _save(file: FieldFile) -> None:
+    """Write the slices of a field as tiles of one image."""
+    encoding = file.options.encoding or "float32"
+    scale = encodings.scale_of(encoding, file.field.spacing, 1.0)
+    engine = file.field.way.engine
+    columns = 1 if file.options.columns is None and engine == "godot" else file.options.columns
+    sheet = flipbook.arrange(file.field.resolution, columns, upwards=engine == "unity")
+    content = write_channel(flipbook.to_pixels(as_texels(file.field.distances, encoding, scale), sheet))
+    with sidecar.write(file.target, {**file.facts(encoding, scale), "sheet": sheet.facts()}) as stream:
+        stream.write(content)
+    if engine == "unity":
+        flipbook.write_unity(file.target, sheet, encoding)
+    elif engine == "godot":
+        flipbook.write_godot(file.target, sheet)
+
+
+def _save_pages(file: PagesFile) -> None:
+    """Write the pages of an atlas. An .exr stores the value that a sampler returns for a normalised integer."""
+    stacked = file.stacked
+    content = write_channel(stacked if stacked.dtype.kind == "f" else shares(stacked))
+    with sidecar.write(file.target, file.header()) as stream:
+        stream.write(content)
+
+
+def _load(path: Path) -> Texels | Pages:
+    """Read the sheet of a field or the pages of an atlas, as the sidecar states."""
+    content, facts = sidecar.read_both(path)
+    if facts.get("kind") != "volume texture":
+        return pages_of(content, facts, _read_pages)
+    sidecar.expect(facts, "volume texture")
+    sizes = facts.get("resolution")
+    sheet = flipbook.read_sheet(facts.get("sheet"), sizes if isinstance(sizes, list) else [])
+    encoding = checks.choice("encoding", facts.get("encoding"), ("float32", "float16"), FormatError)
+    texels = _core.exr_read(content, *sheet.size, encoding)
+    pixels = np.frombuffer(bytearray(texels), encodings.DTYPES[encoding])
+    return Texels(flipbook.from_pixels(pixels, sheet), encoding, facts)
+
+
+def _read_pages(data: bytes, width: int, height: int, encoding: str) -> NDArray[Any]:
+    content = _core.exr_read(data, width, height, encoding)
+    if encoding.startswith("float"):
+        return np.frombuffer(bytearray(content), encodings.DTYPES[encoding])
+    values = np.frombuffer(content, np.float32)
+    if not (np.abs(values) <= 1).all():
+        raise FormatError("normalised texels must be from -1 to 1")
+    texel = encodings.DTYPES[encoding]
+    # Rounding recovers the integer.
+    return np.round(values.astype(np.float64) * np.iinfo(texel).max).astype(texel)
+
+
+_MAGIC = (b"\x76\x2f\x31\x01",)
+
+FORMATS = (
+    Format(
+        ".exr", ("volume", "quantized"), _save, _load, _MAGIC, ("float32", "float16"), ("columns",), has_sidecar=True
+    ),
+    Format(".exr", ("atlas",), _save_pages, _load, _MAGIC, has_sidecar=True),
+)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import FormatError
+from .formats import FieldFile
 
 
 @dataclass(frozen=True)
@@ -54,3 +55,8 @@ def as_samples(values: NDArray[Any], sizes: list[int]) -> NDArray[np.float32]:
     if not np.isfinite(samples).all():
         raise FormatError("a sample is not finite")
     return samples
+
+
+def samples_of(file: FieldFile) -> GridSamples:
+    """Collect the samples, the positions and the metadata of a field that is written as a grid."""
+    return GridSamples(file.field.distances, file.field.origin, file.field.spacing, file.facts("float32", 1.0))

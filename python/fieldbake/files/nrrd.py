@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import re
 import zlib
+from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
@@ -15,9 +16,10 @@ from numpy.typing import NDArray
 
 from ..base.errors import FormatError
 from . import sidecar
-from .container import MAX_HEADER_BYTES
+from .container import MAX_HEADER_BYTES, atomic_write
 from .cursor import inflate
-from .grid_samples import GridSamples, as_samples, checked_count
+from .formats import FieldFile, Format
+from .grid_samples import GridSamples, as_samples, checked_count, samples_of
 
 #: Element types by their names in the format; aliases follow C.
 _TYPES = {
@@ -174,3 +176,15 @@ def _placed(
     backwards = tuple(np.flatnonzero(spacing < 0).tolist())
     origin = origin + np.where(spacing < 0, (np.array(samples.shape) - 1) * spacing, 0.0)
     return GridSamples(np.asfortranarray(np.flip(samples, backwards)), origin, np.abs(spacing), facts)
+
+
+def _save(file: FieldFile) -> None:
+    with atomic_write(file.target) as stream:
+        write(stream, samples_of(file), compressed=file.options.compression != "none")
+
+
+def _load(path: Path) -> GridSamples:
+    return read(path.read_bytes())
+
+
+FORMATS = (Format(".nrrd", ("volume", "quantized"), _save, _load, (b"NRRD",), options=("compression",)),)

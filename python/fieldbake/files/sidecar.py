@@ -30,9 +30,6 @@ from ..base.errors import FormatError
 from .container import CHUNK_BYTES, atomic_write, check_version, followed
 from .temporary import locked
 
-#: Endings of the files that have a sidecar.
-ENDINGS = (".dds", ".exr", ".nvdb", ".png", ".vf")
-
 #: Largest size of metadata, bytes. The JSON of an atlas has a few hundred bytes per volume.
 MAX_SIDECAR_BYTES = 64 << 20
 

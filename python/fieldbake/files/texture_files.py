@@ -11,14 +11,20 @@ import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import _core
+from ..base import checks, encodings
 from ..base.encodings import TEXTURE_DTYPES
 from ..base.errors import ArgumentError, FormatError
+from . import sidecar
+from .container import atomic_write
 from .cursor import Cursor
+from .formats import WRITER, FieldFile, Format, Texels
 
 #: DXGI_FORMAT and VkFormat of each encoding.
 DXGI = {"float32": 41, "float16": 54, "snorm16": 58, "snorm8": 63, "unorm8": 61}
@@ -211,3 +217,48 @@ def _level(cursor: Cursor, shape: tuple[int, int, int], encoding: str) -> NDArra
     dtype = TEXTURE_DTYPES[encoding]
     content = cursor.take(_size(shape, encoding))
     return np.array(np.frombuffer(content, dtype.newbyteorder("<")), dtype).reshape(shape, order="F")
+
+
+def as_texels(distances: NDArray[np.float32], encoding: str, scale: float) -> NDArray[Any]:
+    """Convert distances to texels."""
+    if encoding == "unorm8":
+        return encodings.to_unorm8(distances, scale)
+    return distances if encoding == "float32" else _core.encode(distances, encoding, scale)
+
+
+def _save(file: FieldFile) -> None:
+    encoding = file.options.encoding or "float32"
+    band = encodings.DEFAULT_BAND if file.options.band is None else file.options.band
+    scale = encodings.scale_of(encoding, file.field.spacing, band)
+    facts = file.facts(encoding, scale)
+    levels = [file.field.distances]
+    if file.options.mipmaps:
+        corners = checks.triple(file.field.bounds[0]), checks.triple(file.field.bounds[1])
+        for shape in level_shapes(file.field.resolution)[1:]:
+            levels.append(_core.resample(levels[-1], *corners, shape, scale=1.0))
+    texture = Texture(encoding, [as_texels(level, encoding, scale) for level in levels], json.dumps(facts))
+    if file.target.suffix.lower() == ".dds":
+        with sidecar.write(file.target, facts) as stream:
+            write_dds(stream, texture)
+    else:
+        with atomic_write(file.target) as stream:
+            write_ktx2(stream, texture, "rui" if file.field.way.handedness == "left" else "ruo", WRITER)
+
+
+def _load_dds(path: Path) -> Texels:
+    data, facts = sidecar.read_both(path)
+    texture = read_dds(data)
+    return Texels(texture.levels[0], texture.encoding, facts)
+
+
+def _load_ktx2(path: Path) -> Texels:
+    texture = read_ktx2(path.read_bytes())
+    return Texels(texture.levels[0], texture.encoding, sidecar.parse(texture.facts))
+
+
+_KINDS, _OPTIONS = ("volume", "quantized"), ("band", "mipmaps")
+
+FORMATS = (
+    Format(".dds", _KINDS, _save, _load_dds, (DDS_MAGIC,), tuple(TEXTURE_DTYPES), _OPTIONS, has_sidecar=True),
+    Format(".ktx2", _KINDS, _save, _load_ktx2, (KTX_MAGIC[:7],), tuple(TEXTURE_DTYPES), _OPTIONS),
+)

@@ -12,14 +12,17 @@ offset  type      contents
 from __future__ import annotations
 
 import struct
+from pathlib import Path
 from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import ArgumentError, FormatError
+from . import sidecar
 from .cursor import Cursor
-from .grid_samples import as_samples, checked_count
+from .formats import FieldFile, Format
+from .grid_samples import GridSamples, as_samples, checked_count
 
 MAGIC = b"VF_F"
 MAX_SIDE = 2**16 - 1
@@ -47,3 +50,19 @@ def read(data: bytes) -> NDArray[np.float32]:
             f"{sizes} samples need {4 * checked_count(sizes)} bytes, the file has {len(data) - cursor.at}"
         )
     return as_samples(cursor.array(checked_count(sizes), "<f4"), sizes)
+
+
+def _save(file: FieldFile) -> None:
+    with sidecar.write(file.target, file.facts("float32", 1.0)) as stream:
+        write(stream, file.field.distances)
+
+
+def _load(path: Path) -> GridSamples:
+    data, facts = sidecar.read(path)
+    samples = read(data)
+    # Unity's own fields have a longest side of 1, about the origin.
+    spacing = np.full(3, 1 / max(samples.shape))
+    return GridSamples(samples, (1 - np.array(samples.shape)) * spacing / 2, spacing, facts)
+
+
+FORMATS = (Format(".vf", ("volume", "quantized"), _save, _load, (MAGIC[:3],), has_sidecar=True),)

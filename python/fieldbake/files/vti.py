@@ -12,6 +12,7 @@ import json
 import re
 import struct
 import zlib
+from pathlib import Path
 from typing import IO, Any
 from xml.etree import ElementTree
 
@@ -20,9 +21,10 @@ from numpy.typing import NDArray
 
 from ..base.errors import FormatError
 from . import sidecar
-from .container import MAX_HEADER_BYTES
+from .container import MAX_HEADER_BYTES, atomic_write
 from .cursor import Cursor, inflate
-from .grid_samples import GridSamples, as_samples, checked_count
+from .formats import FieldFile, Format
+from .grid_samples import GridSamples, as_samples, checked_count, samples_of
 
 NAME = "distances"
 #: Bytes of a compressed block.
@@ -206,3 +208,15 @@ def _base64(text: bytes) -> bytes:
         return b"".join(base64.b64decode(part) for part in parts)
     except binascii.Error:
         raise FormatError("the base64 data is damaged") from None
+
+
+def _save(file: FieldFile) -> None:
+    with atomic_write(file.target) as stream:
+        write(stream, samples_of(file), compressed=file.options.compression != "none")
+
+
+def _load(path: Path) -> GridSamples:
+    return read(path.read_bytes())
+
+
+FORMATS = (Format(".vti", ("volume", "quantized"), _save, _load, (b"<?xml", b"<VTKFile"), options=("compression",)),)

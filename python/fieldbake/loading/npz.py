@@ -15,7 +15,8 @@ from ..atlases.atlas import Atlas
 from ..atlases.pages import ARRAYS, BLOCK_NUMBERS, MAX_GUTTER, MAX_PAGE_SIZE, VACANT, blocks_of
 from ..base import checks, encodings
 from ..base.errors import ArgumentError, FormatError
-from ..files.container import SCALED_FLOAT16_VERSION, members, read_array, read_facts, read_header, read_report
+from ..files.container import members, read_array, read_facts, read_header, read_report
+from ..files.formats import SCALED_FLOAT16_VERSION
 from ..merging.nested import MAX_LEVELS, NestedField
 from ..volumes.quantized import QuantizedVolume
 from ..volumes.sparse import SparseVolume, restore_field

@@ -1,31 +1,19 @@
-"""The table of readers by file ending, and :func:`load`."""
+""":func:`load`: the object in a file, by the record of its format."""
 
 from __future__ import annotations
 
 import errno
 import os
 import zipfile
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar
 
-from ..atlases import images
-from ..atlases.atlas import Atlas
 from ..base import checks
 from ..base.errors import CapacityError, FormatError
-from ..volumes import writers
-from ..volumes.volume import Volume
-from .foreign import load_image, load_sheet, load_volume
+from ..files.registry import format_of
+from .foreign import load_format
 from .npz import read_archive
 
 _Kind = TypeVar("_Kind")
-
-#: Readers of the formats other than .npz, by ending.
-_FOREIGN: dict[str, Callable[[Path], Volume | Atlas]] = {
-    **dict.fromkeys(writers.ENDINGS, load_volume),
-    **dict.fromkeys(images.ENDINGS, load_image),
-    ".exr": load_sheet,
-}
 
 
 def load(path: str | os.PathLike[str]) -> Any:
@@ -69,8 +57,9 @@ def load(path: str | os.PathLike[str]) -> Any:
     with file.open("rb") as stream:
         size = os.fstat(stream.fileno()).st_size
         try:
-            if (foreign := _FOREIGN.get(file.suffix.lower())) is not None:
-                return foreign(file)
+            found = format_of(file.suffix.lower())
+            if found is not None and found.read is not None:
+                return load_format(file, found)
             with zipfile.ZipFile(stream) as archive:
                 return read_archive(archive, size)
         except FormatError as error:

@@ -17,7 +17,8 @@ from ..base.loadable import Loadable
 from ..base.progress import Progress, part_of, progress_callback
 from ..base.report import bytes_text
 from ..base.viewable import Pictured
-from ..files import container
+from ..files import container, registry
+from ..files.formats import head
 from ..volumes.convertible import Convertible
 from ..volumes.shaded import Shaded
 from ..volumes.shader import ShaderBuffers, nested_buffers, nested_text
@@ -211,7 +212,8 @@ class NestedField(Loadable, Shaded, Convertible, Pictured):
         arrays: dict[str, NDArray[Any]] = {f"level_{i}": level.distances for i, level in enumerate(self._levels)}
         arrays["boxes"] = np.stack([level.bounds for level in self._levels])
         facts = {**self._levels[-1]._facts(), "levels": len(self._levels)}
-        container.write(path, {**container.head("nested"), **facts}, arrays)
+        registry.check_ending(checks.path(path), "nested")
+        container.write(path, {**head("nested"), **facts}, arrays)
 
     def to_volume(self, level: int = -1) -> Volume:
         """Return one level as a volume.

@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..baking.dense import bake
-from ..base import checks
+from ..base import checks, encodings
 from ..base.errors import ArgumentError, FormatError
 from ..base.grid import make_grid
 from ..base.report import Report
-from ..files.container import ENDINGS, atomic_write
+from ..files.container import atomic_write
+from ..files.registry import ENDINGS, format_of
 from ..meshes import normalization
 from ..meshes.convert import as_mesh
 from ..meshes.normalization import Target
@@ -141,8 +142,9 @@ def checked_format(kind: str, out: Path, form: object, encoding: object) -> tupl
         raise ArgumentError(f"format: must be one of {', '.join(ENDINGS['volume'])}, got {form!r}")
     if encoding is None:
         return ending, None
-    known = writers.ENCODINGS.get(ending, ("float32", "float16", "snorm16", "snorm8") if ending == ".npz" else ())
-    checks.choice("encoding", encoding, known or ("float32",))
+    form = format_of(ending, "volume")
+    known = encodings.NAMES if form is None or ending == ".npz" else form.encodings
+    checks.choice("encoding", encoding, known)
     return ending, None if encoding == "float32" else str(encoding)
 
 

@@ -16,6 +16,7 @@ from ..base import checks
 from ..base.errors import MeshError, ShapeError
 from ..base.former_names import former_names
 from ..base.grid import Resolution, check_count, make_grid
+from ..base.languages import Language
 from ..base.progress import Progress, part, watched
 from ..base.viewable import Viewable
 from ..files.container import check_target
@@ -27,8 +28,6 @@ from . import arguments
 from .arguments import Axis
 from .representation import python_text
 from .shader_function import FUNCTION, shader_function
-
-Language = Literal["wgsl", "glsl", "hlsl", "msl"]
 
 #: Voxels along the longest side of the grid of a mesh, unless the caller chooses.
 MESH_RESOLUTION = 128

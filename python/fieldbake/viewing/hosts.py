@@ -8,6 +8,7 @@ from typing import Any
 
 from ..atlases.atlas import Atlas
 from ..base import checks
+from ..base.encodings import PAGE_NAMES
 from ..base.errors import ArgumentError, SceneError
 from ..base.notices import warn
 from ..base.viewable import register
@@ -29,16 +30,13 @@ from .parameters import model_of
 #: Size of the picture of an object in a notebook, pixels.
 PICTURE_SIZE = (256, 256)
 
-#: Encodings of the samples on a page.
-ENCODINGS = ("snorm8", "float16", "float32")
-
 #: Pages above this size, bytes, are slow to load and to save in a notebook.
 LARGE_PAGE = 5_000_000
 
 
 def checked_content(geometry: Any, camera: Camera | None, encoding: str, size: tuple[int, int]) -> Content:
     """The content of a view, its options checked."""
-    checks.choice("encoding", encoding, ENCODINGS)
+    checks.choice("encoding", encoding, PAGE_NAMES)
     if camera is not None and not isinstance(camera, Camera):
         raise SceneError(f"camera: must be a Camera, got {checks.describe(camera)}; see Camera.from_pose")
     return content_of(geometry, camera, encoding, checked_size(size))

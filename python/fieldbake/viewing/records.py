@@ -41,7 +41,7 @@ DENSE, SPARSE, SHAPE, QUADRIC = range(4)
 VISIBLE, CASTS, UNLIT = 1, 2, 4
 
 #: Encodings as the shader numbers them.
-ENCODINGS = ("float32", "float16", "snorm16", "snorm8")
+ENCODINGS = encodings.NAMES
 
 #: Cells along the side of a block of a dense grid, and of a brick.
 BLOCK_CELLS, BRICK_CELLS = 4, 7

@@ -13,7 +13,8 @@ from .. import _core
 from ..base import checks, encodings
 from ..base.errors import ArgumentError
 from ..base.report import Report, bytes_text
-from ..files import container
+from ..files import container, registry
+from ..files.formats import head
 from ..meshes.isosurface import Source
 from . import writers
 from .volume import Volume
@@ -142,15 +143,15 @@ class QuantizedVolume(Volume):
             super()._save(target, replace(options, encoding=self._encoding, band=band))
         elif options.encoding is None and ending == ".exr" and self._encoding == "float16":
             super()._save(target, replace(options, encoding="float16"))
-        elif ending in writers.ENDINGS or not way.is_identity:
+        elif ending in registry.ENDINGS["volume"][1:] or not way.is_identity:
             super()._save(target, options)
         else:
-            container.check_ending(target, "quantized")
+            registry.check_ending(target, "quantized")
             if options.encoding not in (None, self._encoding):
                 got = checks.describe(options.encoding)
                 raise ArgumentError(f"encoding: .npz files keep the volume's {self._encoding}, got {got}")
             replace(options, encoding=None).check(ending)
-            header = {**container.head("quantized", self._encoding), **self._facts()}
+            header = {**head("quantized", self._encoding), **self._facts()}
             header |= {"encoding": self._encoding, "scale": self._unit}
             container.write(target, header, {"distances": self._encoded})
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from .shader import Language, ShaderBuffers
+from ..base.languages import Language
+from .shader import ShaderBuffers
 
 
 class Shaded(ABC):

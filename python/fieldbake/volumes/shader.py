@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
 from ..base import checks
-
-Language = Literal["wgsl", "glsl", "hlsl", "msl"]
-LANGUAGES = ("wgsl", "glsl", "hlsl", "msl")
+from ..base.languages import LANGUAGES
 
 #: Texels in a row of the texture of a sparse volume's samples.
 SPARSE_ROW = 4096

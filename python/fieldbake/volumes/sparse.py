@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..base import checks, encodings
+from ..base.encodings import QuantizedEncoding
 from ..base.errors import ArgumentError
 from ..base.loadable import Loadable
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report, bytes_text
-from ..files import container
+from ..files import container, registry
 from ..files.band_blocks import BandBlocks
+from ..files.formats import head
 from ..meshes.isosurface import Source
 from . import writers
 from .brick_blocks import blocks_of_bricks, decoded
@@ -101,7 +103,7 @@ class SparseVolume(GridField, Loadable, Shaded, Convertible):
         dense = self._core_field.dense()
         return Volume._wrap(dense, self._bounds, self._inner_bounds, self._report, self._geometry)
 
-    def quantize(self, encoding: Literal["float16", "snorm16", "snorm8"]) -> SparseVolume:
+    def quantize(self, encoding: QuantizedEncoding) -> SparseVolume:
         """Store the samples of the bricks in 16 or 8 bits; magnitudes are rounded toward zero.
 
         Parameters
@@ -177,15 +179,15 @@ class SparseVolume(GridField, Loadable, Shaded, Convertible):
         """
         target = checks.path(path)
         options = SaveOptions(encoding, band, compression, False, None, engine, handedness, up, normalize)
-        if target.suffix.lower() in writers.SPARSE_ENDINGS:
+        if target.suffix.lower() in registry.ENDINGS["sparse"][1:]:
             writers.write(target, self, self._blocks, options)
             return
-        container.check_ending(target, "sparse")
+        registry.check_ending(target, "sparse")
         if options != SaveOptions():
             raise ArgumentError("path: a sparse .npz has no options; call to_volume() to change axes or encoding")
         field = self._core_field
         facts = {"encoding": field.encoding, "scale": field.scale, "band": field.band}
-        container.write(target, {**container.head("sparse", field.encoding), **self._facts(), **facts}, field.arrays())
+        container.write(target, {**head("sparse", field.encoding), **self._facts(), **facts}, field.arrays())
 
     def _blocks(self, placed: writers.Placed, band: float) -> BandBlocks:
         own = blocks_of_bricks(self._core_field, self.sample, self.origin, self.spacing, band / placed.scale)

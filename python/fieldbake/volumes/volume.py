@@ -11,13 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
 from ..base import checks
-from ..base.encodings import Encoding
+from ..base.encodings import Encoding, QuantizedEncoding
 from ..base.errors import ArgumentError
 from ..base.loadable import Loadable
 from ..base.progress import Progress
 from ..base.report import Report, bytes_text
-from ..files import container
+from ..files import container, registry
 from ..files.band_blocks import BandBlocks, blocks_of_grid
+from ..files.formats import head
 from ..meshes.convert import MeshLike
 from ..meshes.isosurface import Source
 from ..meshes.mesh import Mesh
@@ -195,7 +196,7 @@ class Volume(StoredSamples, Loadable, Shaded):
 
         return plot_slices(self, at)
 
-    def quantize(self, encoding: Literal["float16", "snorm16", "snorm8"], *, band: float = 4) -> QuantizedVolume:
+    def quantize(self, encoding: QuantizedEncoding, *, band: float = 4) -> QuantizedVolume:
         """Store the volume in 16 or 8 bits per sample.
 
         Parameters
@@ -377,13 +378,13 @@ class Volume(StoredSamples, Loadable, Shaded):
         self._save(checks.path(path), options)
 
     def _save(self, target: Path, options: SaveOptions) -> None:
-        if target.suffix.lower() in writers.ENDINGS:
+        if target.suffix.lower() in registry.ENDINGS["volume"][1:]:
             writers.write(target, self, self._blocks, options)
             return
-        container.check_ending(target, "volume")
+        registry.check_ending(target, "volume")
         options.check(".npz")
         placed = writers.Placed(self, self._blocks, options.convention())
-        container.write(target, {**container.head("volume"), **placed.facts}, {"distances": placed.distances})
+        container.write(target, {**head("volume"), **placed.facts}, {"distances": placed.distances})
 
     def _blocks(self, placed: writers.Placed, band: float) -> BandBlocks:
         return blocks_of_grid(placed.distances, placed.origin, placed.spacing, band)
