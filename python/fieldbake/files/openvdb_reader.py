@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import CapacityError, FormatError
-from . import blosc
+from ..base.errors import CapacityError, Error, FormatError
+from ..base.optional import optional_module
 from .band_blocks import SIDE
 from .cursor import Cursor, inflate
 from .openvdb import ACTIVE_MASK, BLOSC, HALF_SUFFIX, LOWER, LOWER_VOXELS, MAGIC, TREE, UPPER, UPPER_VOXELS, ZIP
@@ -283,7 +283,7 @@ class _Reader:
                     raise FormatError(f"a node has {-packed} bytes, expected {size}")
                 content = self.cursor.take(size)
             elif self.compression & BLOSC:
-                content = blosc.unpack(self.cursor.take(packed), max(size, BLOSC_LEAST))[:size]
+                content = unpack_blosc(self.cursor.take(packed), max(size, BLOSC_LEAST))[:size]
             else:
                 content = inflate(self.cursor.take(packed), size)
         else:
@@ -312,6 +312,24 @@ class _Reader:
                 self.grid.corners.append(at)
             else:
                 self._internal(at, LOWER, SIDE)
+
+
+def unpack_blosc(buffer: memoryview, most: int) -> bytes:
+    """Unpack a buffer of the library Blosc 1, the default of OpenVDB files, of at most `most` bytes.
+
+    The header has the size of the content and of the buffer; both are compared before the package numcodecs unpacks.
+    """
+    _, size, _, packed_size = Cursor(buffer).unpack("<4s3I")  # type: ignore[arg-type]
+    if not size <= most or packed_size != len(buffer):
+        raise FormatError("a Blosc buffer has a damaged header")
+    try:
+        library = optional_module("numcodecs.blosc", "a .vdb file with Blosc", extra="blosc")
+    except Error as error:
+        raise FormatError(f"{error}, or save the file again with zip") from None
+    try:
+        return bytes(library.decompress(buffer))
+    except (RuntimeError, ValueError) as error:
+        raise FormatError(f"a Blosc buffer is damaged ({error})") from None
 
 
 def child_corner(corner: tuple[int, int, int], slot: int, side: int, step: int) -> tuple[int, int, int]:
