@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from types import SimpleNamespace
 
 import numpy as np
@@ -192,6 +193,38 @@ def test_a_merged_field_is_a_volume_that_can_be_saved(tmp_path):
     assert field.report.device == "cpu"
     assert "merge" in field.report.seconds
     assert fb.raymarch(field, size=(16, 16)).object_id.max() == 0
+
+
+def test_a_merged_field_has_what_a_volume_has():
+    field = fb.merge([meshes.icosphere(1)], 16)
+    names = {name for name in dir(fb.Volume) if not name.startswith("_")}
+    assert {name for name in names if not hasattr(field, name)} == {"quantize", "from_xarray", "load"}
+    assert names - {"quantize", "from_xarray", "load"} <= set(dir(field))
+    assert isinstance(field.volume, fb.Volume)
+    assert np.shares_memory(np.asarray(field), field.distances)
+    assert np.array_equal(np.from_dlpack(field), field.distances)
+    with pytest.raises(AttributeError, match="'MergedField' has no attribute 'distance'"):
+        _ = field.distance
+    back = pickle.loads(pickle.dumps(field))
+    assert type(back) is fb.Volume
+    assert np.array_equal(back.distances, field.distances)
+
+
+def test_functions_of_volumes_accept_a_merged_field():
+    field, point = fb.merge([meshes.icosphere(1)], 16), [(0.3, 0.2, 0.1)]
+    volume = field.volume
+    assert fb.Instance(field).geometry is volume
+    assert fb.pack([field, (field, np.eye(4))], page_size=128).unpack(0).resolution == volume.resolution
+    with pytest.raises(fb.ArgumentError, match="got a MergedField; put it in a list"):
+        fb.pack(field)
+    assert np.array_equal(fb.merge(field, 16).distances, fb.merge(volume, 16).distances)
+    assert np.array_equal(fb.merge([(field, np.eye(4))], 16).distances, fb.merge([volume], 16).distances)
+    assert fb.volume_shape(field).distance(point) == fb.volume_shape(volume).distance(point)
+    assert (fb.sphere(0.1) | field).distance(point) == (fb.sphere(0.1) | volume).distance(point)
+    assert fb.gyroid(1, field).distance(point) == fb.gyroid(1, volume).distance(point)
+    assert fb.render([volume], far=field, size=(8, 8), device="cpu").object_id.max() == 0
+    assert field.to_html() == volume.to_html()
+    assert field._repr_png_() == volume._repr_png_()
 
 
 def test_a_merged_field_stays_a_bound_outside_its_box(random):

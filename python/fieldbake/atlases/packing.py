@@ -15,7 +15,7 @@ from ..base.progress import Progress
 from ..meshes.convert import MeshLike
 from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
-from ..volumes.volume import Volume
+from ..volumes.volume import HasVolume, Volume
 from .atlas import Atlas
 from .pages import MAX_GUTTER, MAX_PAGE_SIZE, Layout, checked_item, checked_name, fitting_page, name_of
 
@@ -109,7 +109,7 @@ def pack(
     band = checks.number("band", band, above=0)
     fits = isinstance(page_size, str) and page_size == "fit"
     side = 0 if fits else checks.integer('page_size (or "fit")', page_size, least=1, most=MAX_PAGE_SIZE)
-    if isinstance(volumes, (Volume, SparseVolume)):
+    if isinstance(volumes, (Volume, HasVolume, SparseVolume)):
         raise ArgumentError(f"volumes: must be a list of volumes, got a {type(volumes).__name__}; put it in a list")
     try:
         listed = list(volumes)

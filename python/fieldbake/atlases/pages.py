@@ -22,7 +22,7 @@ from ..base.report import Report
 from ..meshes.mesh import Mesh
 from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
-from ..volumes.volume import Volume
+from ..volumes.volume import HasVolume, Volume, plain_field
 
 Layout = Literal["shelves", "strips"]
 
@@ -338,7 +338,7 @@ def _is_worth_it(volumes: list[Volume], device: str) -> bool:
 
 
 #: Complete objects. A pair that begins with one of them is (object, transform), and not (vertices, faces).
-_WHOLE = (Volume, SparseVolume, Mesh, Shape, str, os.PathLike)
+_WHOLE = (Volume, HasVolume, SparseVolume, Mesh, Shape, str, os.PathLike)
 
 
 def checked_item(
@@ -350,6 +350,7 @@ def checked_item(
     if isinstance(item, tuple) and len(item) == 2 and isinstance(item[0], _WHOLE):
         geometry, model = item
     placed = np.eye(4) if model is None else checks.affine(f"volumes[{i}] transform", model, ArgumentError)
+    geometry = plain_field(geometry)
     if isinstance(geometry, SparseVolume):
         return geometry.to_volume(), placed
     if isinstance(geometry, Volume):

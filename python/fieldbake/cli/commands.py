@@ -229,7 +229,7 @@ def merge(
     geometries = fb.load_scene(scene) if is_scene else [fb.load_mesh(scene)]
     field = fb.merge(geometries, resolution, device=device, progress=err.is_terminal)
     field.save(output)
-    show_rows(f"{output}", volume_rows(field))
+    show_rows(f"{output}", volume_rows(field.volume))
 
 
 @app.command()

@@ -25,7 +25,7 @@ from ..scenes.scene import Scene
 from ..shapes.quadric import Quadric, bounds_of, check_quadrics, core_of, is_quadrics
 from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
-from ..volumes.volume import Volume
+from ..volumes.volume import Volume, plain_field
 from .frame import Frame
 from .options import checked_color, checked_size, frame_of
 from .rendering import Primary, Shadows, render
@@ -149,6 +149,7 @@ def raymarch(
         return render(
             geometry, camera, size=size, primary="raymarch", shadows=shadows, device=device, progress=progress
         )
+    geometry = plain_field(geometry)
     checked = checked_size(size)
     checks.choice("shadows", shadows, get_args(Shadows))
     checks.choice("filter", filter, get_args(Filter))

@@ -19,6 +19,7 @@ from ..base import checks
 from ..base.errors import ArgumentError, SceneError
 from ..base.former_names import former_names
 from ..base.progress import Progress, progress_callback
+from ..merging.merged import MergedField
 from ..merging.nested import NestedField
 from ..scenes import field_cache
 from ..scenes.camera import Camera
@@ -27,7 +28,7 @@ from ..scenes.instance import Instance
 from ..scenes.lights import Light, key_light, row_of
 from ..scenes.materials import scattering_rgb
 from ..scenes.scene import Scene
-from ..volumes.volume import Volume
+from ..volumes.volume import Volume, plain_field
 from .frame import Frame
 from .options import checked_size
 
@@ -59,7 +60,7 @@ class RenderOptions(TypedDict, total=False):
     light_scale: int
     exposure: float
     area_samples: int
-    far: Volume | NestedField | None
+    far: Volume | MergedField | NestedField | None
     far_distance: float | None
     device: str
     progress: Progress
@@ -100,6 +101,7 @@ def _distance(name: str, value: Any) -> float | None:
 
 
 def _far(name: str, value: Any) -> Any:
+    value = plain_field(value)
     if value is not None and not isinstance(value, (Volume, NestedField)):
         raise ArgumentError(f"{name}: must be a Volume or NestedField from merge(), got {checks.describe(value)}")
     return value
@@ -151,7 +153,8 @@ class Options:
         for name in options:
             if name not in known:
                 raise SceneError(f"{name}: is no option of {owner}(); its options are {', '.join(known)}")
-        return cls(**options)
+        values: dict[str, Any] = {**options}
+        return cls(**values)
 
     def fields_of(self, instances: Sequence[Instance]) -> Fields:
         """Decide which meshes of the instances need distance fields."""

@@ -86,7 +86,7 @@ def merge(
     Returns
     -------
     MergedField
-        A Volume whose method :meth:`~MergedField.update` follows moving instances. With `levels`, a
+        A volume with the method :meth:`~MergedField.update` that follows moving instances. With `levels`, a
         :class:`NestedField`.
 
     Raises

@@ -16,11 +16,12 @@ from ..base import checks
 from ..base.errors import DeviceError, Error, SceneError
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
+from ..base.viewable import Viewable
 from ..meshes.convert import is_arrays
 from ..shapes.quadric import Quadric, bounds_of, check_quadrics, is_quadrics, rows_of
 from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
-from ..volumes.volume import Volume
+from ..volumes.volume import HasVolume, Volume, plain_field
 
 #: Voxels along the longest side of meshes and shapes that are baked, unless their instance has a resolution.
 GEOMETRY_RESOLUTION = 64
@@ -53,10 +54,16 @@ class Placed(NamedTuple):
         )
 
 
-class MergedField(Volume):
-    """The field of a scene: a :class:`Volume` that keeps the instances it was merged from. Made by :func:`merge`.
+class MergedField(HasVolume, Viewable):
+    """The field of a scene, made by :func:`merge`: its volume, and the instances that it was merged from.
 
-    A saved field is loaded as a plain Volume.
+    It has the attributes and methods of a :class:`Volume` except `quantize`, `from_xarray` and `load`, and functions of
+    volumes accept it too. A saved field is loaded as a Volume.
+
+    Attributes
+    ----------
+    volume : Volume
+        The samples and their box.
 
     Examples
     --------
@@ -75,6 +82,17 @@ class MergedField(Volume):
 
     _owners: NDArray[np.uint32]
     _placed: tuple[Placed, ...]
+
+    def __init__(self, volume: Volume, owners: NDArray[np.uint32], placed: Sequence[Placed]) -> None:
+        self.volume = volume
+        self._owners = checks.frozen(owners)
+        self._placed = tuple(placed)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return self.volume.__reduce__()
+
+    def __repr__(self) -> str:
+        return f"MergedField({self.volume!r})"
 
     def update(
         self, changed: Sequence[Any], *, scene: Any = None, device: str = "auto", progress: Progress = None
@@ -117,7 +135,7 @@ class MergedField(Volume):
         for index in indices:
             if len(placed[index].quadrics) != len(self._placed[index].quadrics):
                 raise SceneError(f"changed: instance {index} has another number of quadrics than before; merge again")
-        return merge_placed(placed, self._bounds, self._shape, device, progress, (self, indices))
+        return merge_placed(placed, self.volume.bounds, self.volume.resolution, device, progress, (self, indices))
 
     def _changed(self, changed: Sequence[Any], scene: Any) -> tuple[list[Placed], list[int]]:
         """List all instances after the change, and the indices of the changed ones."""
@@ -185,7 +203,7 @@ def merge_placed(
     start = time.perf_counter()
     previous = None
     if earlier is not None:
-        previous = earlier[0]._distances, earlier[0]._owners, [i for item in earlier[1] for i in spans[item]]
+        previous = earlier[0].volume.distances, earlier[0]._owners, [i for item in earlier[1] for i in spans[item]]
     with progress_callback(progress, "merge") as callback:
         distances, owners, facts = _core.merge(
             [_volume_row(volume) for volume in volumes.values()],
@@ -204,12 +222,8 @@ def merge_placed(
     inner = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
     seconds = {"merge": time.perf_counter() - start}
     report = Report(device=facts["device"], seconds=seconds, warnings=tuple(facts.get("warnings", ())))
-    field = MergedField._wrap(distances, np.array(bounds), inner, report)
-    assert isinstance(field, MergedField)
     assert owners is not None
-    field._owners = checks.frozen(owners)
-    field._placed = tuple(placed)
-    return field
+    return MergedField(Volume._wrap(distances, np.array(bounds), inner, report), owners, placed)
 
 
 def _volume_row(volume: Volume) -> tuple[Any, ...]:
@@ -219,7 +233,7 @@ def _volume_row(volume: Volume) -> tuple[Any, ...]:
 
 def items_of(scene: Any) -> Sequence[Any]:
     """List the instances of a scene or of a list."""
-    items = getattr(scene, "instances", scene)
+    items = plain_field(getattr(scene, "instances", scene))
     if isinstance(items, (Volume, SparseVolume, Quadric)):
         items = [items]
     if isinstance(items, (str, bytes)) or not isinstance(items, Sequence):
@@ -243,9 +257,10 @@ def place(name: str, item: Any, baked: dict[tuple[int, int], Volume]) -> Placed:
     elif (
         isinstance(item, tuple)
         and len(item) == 2
-        and (isinstance(item[0], (Volume, SparseVolume, AtlasEntry, Quadric, Shape)) or not is_arrays(item))
+        and (isinstance(item[0], (Volume, HasVolume, SparseVolume, AtlasEntry, Quadric, Shape)) or not is_arrays(item))
     ):
         geometry, transform = item
+    geometry = plain_field(geometry)
     matrix = np.eye(4) if transform is None else checks.affine(f"{name}: transform", transform, SceneError)
     if is_quadrics(geometry):
         return Placed(tuple(check_quadrics(geometry)), matrix)

@@ -22,7 +22,7 @@ from ..files.formats import head
 from ..volumes.convertible import Convertible
 from ..volumes.shaded import Shaded
 from ..volumes.shader import ShaderBuffers, nested_buffers, nested_text
-from ..volumes.volume import Volume
+from ..volumes.volume import Volume, plain_field
 from .merged import MergedField
 
 #: Largest number of levels. A voxel of the outermost level is then 2048 times as long as a voxel of the finest.
@@ -71,14 +71,18 @@ class NestedField(Loadable, Shaded, Convertible, Pictured):
     True
     """
 
-    __slots__ = ("_joined", "_levels")
+    __slots__ = ("_joined", "_levels", "_merged")
 
     _levels: tuple[Volume, ...]
+    #: The fields of the levels that `merge` made; none of a loaded field.
+    _merged: tuple[MergedField, ...]
     _joined: tuple[Volume, ...] | None
 
-    def __init__(self, levels: Sequence[Volume]) -> None:
-        check_levels(levels)
-        object.__setattr__(self, "_levels", tuple(levels))
+    def __init__(self, levels: Sequence[Volume | MergedField]) -> None:
+        volumes = tuple(plain_field(level) for level in levels)
+        check_levels(volumes)
+        object.__setattr__(self, "_levels", volumes)
+        object.__setattr__(self, "_merged", tuple(level for level in levels if isinstance(level, MergedField)))
         object.__setattr__(self, "_joined", None)
 
     @property
@@ -184,7 +188,7 @@ class NestedField(Loadable, Shaded, Convertible, Pictured):
         SceneError
             As for :meth:`MergedField.update`, and for a loaded field.
         """
-        merged = [level for level in self._levels if isinstance(level, MergedField)]
+        merged = self._merged
         if len(merged) < len(self._levels):
             raise SceneError("changed: a loaded field has no instances to update; merge the scene again")
         levels = []

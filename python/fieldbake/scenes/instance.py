@@ -19,7 +19,7 @@ from ..scaling.zarr_volume import ZarrVolume
 from ..shapes.quadric import Quadric, bounds_of, check_quadrics, is_quadrics
 from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
-from ..volumes.volume import Volume
+from ..volumes.volume import Volume, plain_field
 from .materials import Material
 
 #: Objects that a scene can hold. Meshes are rasterised; rays find the hits of the others.
@@ -121,6 +121,7 @@ class Instance:
 
 def _geometry(geometry: Any) -> Geometry:
     """Convert an object to a form that the core can draw."""
+    geometry = plain_field(geometry)
     if isinstance(geometry, Shape):
         # A shape without bounds raises an error that names the leaf.
         _ = geometry.bounds

@@ -15,7 +15,7 @@ from .. import _core
 from ..base import checks
 from ..base.errors import ShapeError
 from ..volumes.sparse import SparseVolume
-from ..volumes.volume import Volume
+from ..volumes.volume import Volume, plain_field
 from .arguments import Axis, axis_of, number, numbers, sides
 from .shape import Shape, combine
 
@@ -486,6 +486,7 @@ def volume_shape(volume: Volume | SparseVolume) -> Shape:
     >>> bool(bitten.distance([(0.9, 0, 0)])[0] > 0)
     True
     """
+    volume = plain_field(volume)
     if isinstance(volume, SparseVolume):
         volume = volume.to_volume()
     if not isinstance(volume, Volume):
@@ -512,6 +513,7 @@ _LARGEST = {
 def _sheet(name: str, cell: float, thickness: float | Shape | Volume | SparseVolume) -> Shape:
     """Make a sheet about a periodic surface, whose thickness is a number or a field."""
     cell = number("cell", cell)
+    thickness = plain_field(thickness)
     if isinstance(thickness, Volume | SparseVolume):
         thickness = volume_shape(thickness)
     if not isinstance(thickness, Shape):

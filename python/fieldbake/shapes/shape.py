@@ -23,7 +23,7 @@ from ..files.container import check_target
 from ..meshes.export import mesh_kind
 from ..meshes.isosurface import ShapeSource, extract
 from ..meshes.mesh import Mesh
-from ..volumes.volume import Volume
+from ..volumes.volume import Volume, plain_field
 from . import arguments
 from .arguments import Axis
 from .representation import python_text
@@ -558,6 +558,7 @@ def operand_of(value: object) -> Shape | None:
     """Convert an operand to a shape: a Shape stays, a Volume becomes a leaf; None for any other object."""
     if isinstance(value, Shape):
         return value
+    value = plain_field(value)
     if isinstance(value, Volume):
         lower, upper = value._corners()
         return Shape._wrap(_core.Shape.volume(value._distances, lower, upper))

@@ -43,7 +43,7 @@ from ..scenes.surroundings import mean_of
 from ..shapes.quadric import Quadric
 from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
-from ..volumes.volume import Volume
+from ..volumes.volume import Volume, plain_field
 from . import records
 from .atlas_preview import pages_of
 from .records import Record
@@ -198,7 +198,7 @@ def content_of(geometry: Any, camera: Camera | None, encoding: str, size: tuple[
     SceneError
         If the object has no view, or for an orthographic camera.
     """
-    aspect = size[0] / size[1]
+    geometry, aspect = plain_field(geometry), size[0] / size[1]
     if camera is not None:
         check_perspective(camera)
     if isinstance(geometry, Mesh):

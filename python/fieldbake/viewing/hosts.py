@@ -21,7 +21,7 @@ from ..meshes.mesh import Mesh
 from ..scenes.camera import Camera
 from ..scenes.scene import Scene
 from ..shapes.shape import Shape
-from ..volumes.volume import Volume
+from ..volumes.volume import Volume, plain_field
 from .content import Content, content_of
 from .html import page_of
 from .output import PageOutput
@@ -48,6 +48,7 @@ def picture(geometry: Any) -> bytes | None:
         # Triangles need no field, and shadows would.
         scene = geometry if isinstance(geometry, Scene) else Scene([geometry])
         return render(scene, size=PICTURE_SIZE, shadows="none", device="cpu")._repr_png_()
+    geometry = plain_field(geometry)
     levels = (
         geometry.levels if isinstance(geometry, NestedField) else [geometry] if isinstance(geometry, Volume) else None
     )

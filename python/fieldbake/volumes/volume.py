@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from .. import _core
 from ..base import checks
@@ -409,3 +409,43 @@ class Volume(StoredSamples, Loadable, Shaded):
 
 def _restore(distances: Any, bounds: Any, inner_bounds: Any, report: Report) -> Volume:
     return Volume(distances, bounds, inner_bounds=inner_bounds, report=report)
+
+
+class HasVolume:
+    """Base class of objects that have a volume and its public attributes and methods, such as merged fields."""
+
+    __slots__ = ("volume",)
+
+    #: The samples and their box.
+    volume: Volume
+
+    def __getattr__(self, name: str) -> Any:
+        if name in OF_VOLUME:
+            return getattr(self.volume, name)
+        raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}")
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *OF_VOLUME})
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        return self.volume.__array__(dtype, copy)
+
+    def __dlpack__(self, **options: Any) -> object:
+        return self.volume.__dlpack__(**options)
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        return self.volume.__dlpack_device__()
+
+
+#: Public attributes and methods of a volume that an object with a volume has. Class methods, encodings and the update
+#: belong to the volume alone, and views to the object.
+OF_VOLUME = frozenset(
+    name
+    for name in dir(Volume)
+    if not name.startswith("_") and name not in ("from_xarray", "load", "quantize", "update", "show", "to_html")
+)
+
+
+def plain_field(field: Any) -> Any:
+    """Return the volume of an object that has one, and any other object unchanged."""
+    return field.volume if isinstance(field, HasVolume) else field
