@@ -245,9 +245,9 @@ def parse(text: str) -> Shape:
 
     Operators: ``union``, ``inter``, ``diff``, ``xor``; ``(blend union k a b ...)`` and ``(chamfer union k a b ...)``.
     Modifiers: ``move``, ``move-x``, ``rotate`` (a quaternion x y z w), ``rotate-x``, ``scale``, ``flate`` (offset),
-    ``shell``, ``times``, ``align``, ``elongate``, ``mirror``, ``reflect``, ``repeat``, ``twist``, ``bend``, ``not``,
-    and ``(paint COLOR a)``, ``(paint-over COLOR a)``, ``(stencil COLOR a mask)``, ``(mask COLOR a mask)`` with a colour
-    as three linear numbers or ``#rrggbb``.
+    ``shell``, ``times``, ``align``, ``elongate``, ``mirror``, ``reflect``, ``repeat``, ``twist`` and ``bend``
+    (degrees per world unit), ``not``, and ``(paint COLOR a)``, ``(paint-over COLOR a)``, ``(stencil COLOR a mask)``,
+    ``(mask COLOR a mask)`` with a colour as three linear numbers or ``#rrggbb``.
 
     References
     ----------

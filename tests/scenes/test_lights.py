@@ -204,3 +204,26 @@ def test_lights_of_files_keep_their_cones_ranges_and_ratios(tmp_path):
 def test_a_lamp_on_a_surface_draws_finite_colours():
     lamp = fb.PointLight((0, -1, 0), intensity=1e30, range=np.inf)
     assert np.isfinite(fb.render(floor([lamp]), CAMERA, size=SIZE, shadows="none", device="cpu").color).all()
+
+
+@pytest.mark.parametrize("draw", [fb.render, fb.raymarch])
+def test_soft_is_the_default_and_a_light_without_a_size_has_hard_shadows(draw):
+    cut = fb.bake(fb.sphere() - fb.box((1, 4, 1)), 32, device="cpu")
+    camera = fb.Camera((2, 3, 4), (0, 0, 0))
+    for point, sized in (
+        (fb.DirectionalLight((-1, -0.4, -0.2)), fb.DirectionalLight((-1, -0.4, -0.2), angle_deg=20)),
+        (fb.PointLight((4, 1.6, 0.8)), fb.PointLight((4, 1.6, 0.8), radius=0.8)),
+    ):
+        shadows = {}
+        for name, light, options in (
+            ("usual", point, {}),
+            ("hard", point, {"shadows": "hard"}),
+            ("usual with a size", sized, {}),
+            ("soft with a size", sized, {"shadows": "soft"}),
+        ):
+            given = (fb.Scene([cut], [light]), {}) if draw is fb.render else (cut, {"lights": [light]})
+            shadows[name] = draw(given[0], camera, size=(48, 48), device="cpu", **given[1], **options).shadow
+        assert np.array_equal(shadows["usual"], shadows["hard"])
+        assert set(np.unique(shadows["usual"])) == {0, 1}
+        assert np.array_equal(shadows["usual with a size"], shadows["soft with a size"])
+        assert (np.abs(shadows["usual with a size"] - 0.5) < 0.4).any()

@@ -40,7 +40,8 @@ def former_names(keywords: str = "", /, **names: str) -> Callable[[_Callable], _
             # `__getattr__` is called for names that the object does not have.
             target.__getattr__ = missing  # type: ignore[attr-defined]
             return target
-        checked: _Callable = _checked(target, target.__name__, keywords, names)
+        owner = target.__qualname__.rpartition("<locals>.")[2].removesuffix(".__init__")
+        checked: _Callable = _checked(target, owner, keywords, names)
         return checked
 
     return decorate
