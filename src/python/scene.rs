@@ -321,8 +321,7 @@ impl PictureOptions {
             lights,
             ambient,
             occlusion: self.ambient_occlusion,
-            bounces: (self.bounces > 0)
-                .then_some(BounceOptions { count: self.bounces, samples: self.bounce_samples }),
+            bounces: (self.bounces > 0).then_some(BounceOptions { count: self.bounces, samples: self.bounce_samples }),
             far: (!self.far.is_empty()).then(|| FarField {
                 levels: self.far.iter().map(|level| level.get().0.clone()).collect(),
                 distance: self.far_distance,

@@ -6,9 +6,11 @@ import inspect
 import pickle
 
 import pytest
+from typer.testing import CliRunner
 
 import fieldbake as fb
 from fieldbake.base.former_names import former_names
+from fieldbake.cli.application import app
 
 BALL = fb.sphere()
 
@@ -77,3 +79,14 @@ def test_a_former_name_beside_the_new_one_is_refused_too():
     assert function(new=3) == function(3) == 3
     with pytest.raises(fb.ArgumentError, match=r"^old: function\(\) .* use new$"):
         function(old=3, new=3)
+
+
+@pytest.mark.parametrize(
+    ("former", "name"),
+    [("--fov", "--fov-deg"), ("--angle", "--angle-deg"), ("--occlusion", "--ambient-occlusion")],
+)
+def test_a_former_option_of_the_command_is_an_error_with_the_new_one(former, name):
+    result = CliRunner().invoke(app, ["render", "a.glb", "-o", "a.png", former, "3"], env={"COLUMNS": "200"})
+    assert result.exit_code == 2
+    assert f"No such option: {former}" in result.output
+    assert name in result.output
