@@ -10,6 +10,7 @@ use super::run::{run, run_sized};
 use crate::gpu::Place;
 use crate::query as core;
 use crate::sign::SignMethod;
+use crate::solid;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -201,7 +202,7 @@ pub(super) fn sample_surface<'py>(
 /// The samples of a grid that a flood from the box reaches without crossing a triangle.
 #[pyclass(frozen, module = "fieldbake._core")]
 pub struct OuterSides {
-    sides: core::OuterSides,
+    sides: solid::OuterSides,
     grid: crate::grid::Grid,
 }
 
@@ -218,7 +219,7 @@ impl OuterSides {
     ) -> PyResult<Self> {
         let grid = super::convert::grid(lower, upper, shape)?;
         let mesh = mesh.0.clone();
-        let sides = run(py, None, |progress| core::OuterSides::new(&mesh, &grid, radius, progress))?;
+        let sides = run(py, None, |progress| solid::OuterSides::new(&mesh, &grid, radius, progress))?;
         Ok(Self { sides, grid })
     }
 

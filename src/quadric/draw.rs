@@ -8,9 +8,9 @@
 use super::Quadrics;
 use crate::error::Error;
 use crate::gpu::Place;
+use crate::picture::{Camera, DirectionalLight, Frame, RaymarchOptions, Row};
 use crate::progress::Progress;
 use crate::render::shade::{LitPoint, lit};
-use crate::render::{Camera, DirectionalLight, Frame, RaymarchOptions, Row};
 use glam::DVec3;
 
 /// Draws at a place. `options.color` is ignored, since each quadric has its reflectance.

@@ -8,8 +8,8 @@ SOURCE = Path(__file__).parents[2] / "src"
 #: From the bottom to the top. A folder has the name of the file beside it.
 LAYERS = [
     "error simd",
-    "memory progress geometry encoding shader_text",
-    "shader_library",
+    "memory progress geometry encoding",
+    "shader_text",
     "grid openexr",
     "gpu",
     "mesh",
@@ -17,9 +17,12 @@ LAYERS = [
     "sign",
     "volume",
     "surface",
+    "picture",
+    "march",
     "render",
     "atlas",
     "bake",
+    "solid",
     "query",
     "csg",
     "quadric",
@@ -61,12 +64,10 @@ def test_folders_import_only_what_lies_below_them():
     assert wrong == []
 
 
-#: Files that import each other. The context of a device owns caches whose methods take the context, and an object of a
-#: scene enters itself into the tables of the device.
+#: Files that import each other. The context of a device owns caches whose methods take the context.
 KNOTS = {
     "gpu": {"buffer context device pipeline raster timer"},
     "quadric": {"draw gpu"},
-    "scene": {"device_fields field"},
 }
 
 
