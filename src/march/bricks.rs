@@ -17,7 +17,7 @@ use rayon::prelude::*;
 /// a word is cell (x, y); bits 7, 15, ... and 56 to 63 are unused.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
-pub struct CellMask([u64; BRICK_SAMPLES]);
+pub(crate) struct CellMask([u64; BRICK_SAMPLES]);
 
 /// The bits of a layer that represent cells: seven bits in each of seven rows.
 const CELLS_OF_LAYER: u64 = 0x007f_7f7f_7f7f_7f7f;
@@ -52,19 +52,19 @@ impl CellMask {
 
 /// A sparse field and the masks of its cells that can contain a root.
 #[derive(Debug)]
-pub struct MaskedBricks<'a, T> {
+pub(crate) struct MaskedBricks<'a, T> {
     view: SparseView<'a, T>,
     /// One mask per stored brick.
     masks: Vec<CellMask>,
 }
 
 impl<'a, T: Texel> MaskedBricks<'a, T> {
-    pub fn view(&self) -> &SparseView<'a, T> {
+    pub(crate) fn view(&self) -> &SparseView<'a, T> {
         &self.view
     }
 
     /// Fails if a sample is not finite or too large.
-    pub fn new(view: SparseView<'a, T>, progress: &Progress) -> Result<Self, Error> {
+    pub(crate) fn new(view: SparseView<'a, T>, progress: &Progress) -> Result<Self, Error> {
         let masks = view
             .texels()
             .par_chunks_exact(BRICK_LEN)
@@ -147,7 +147,7 @@ impl<T: Texel> Blocks for MaskedBricks<'_, T> {
 
 /// A block of a sparse field: a stored brick, or a brick that lies inside completely.
 #[derive(Debug, Clone, Copy)]
-pub enum MaskedBrick<'a, T> {
+pub(crate) enum MaskedBrick<'a, T> {
     Stored { mask: &'a CellMask, brick: Brick<'a, T> },
     Inside { first: [i32; 3] },
 }

@@ -33,7 +33,7 @@ use glam::{DVec3, IVec3, Vec3};
 
 /// A ray in grid space that begins inside the box.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct GridRay {
+pub(crate) struct GridRay {
     pub origin: Vec3,
     /// Unit length; grid space, so lengths along the ray are in voxels.
     pub direction: Vec3,
@@ -102,7 +102,7 @@ pub(crate) fn clip_to_box(origin: DVec3, direction: DVec3, shape: DVec3) -> Opti
 
 /// Intersection of a ray with the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FieldHit {
+pub(crate) struct FieldHit {
     pub t: f32,
     /// Whether the field is <= 0 at the start of the ray.
     pub at_start: bool,
@@ -112,7 +112,7 @@ pub struct FieldHit {
 
 /// Result of a ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct March {
+pub(crate) struct March {
     pub hit: Option<FieldHit>,
     /// Number of visited cells plus leaps.
     pub steps: u32,
@@ -120,7 +120,7 @@ pub struct March {
 
 /// A field prepared for rays.
 #[derive(Debug, Clone)]
-pub struct Marcher<F: Blocks> {
+pub(crate) struct Marcher<F: Blocks> {
     pub field: F,
     signs: F::Signs,
     empty: EmptySpace,
@@ -128,14 +128,14 @@ pub struct Marcher<F: Blocks> {
 
 impl<F: Blocks> Marcher<F> {
     /// Fails if a distance is not finite or too large.
-    pub fn new(field: F, progress: &Progress) -> Result<Self, Error> {
+    pub(crate) fn new(field: F, progress: &Progress) -> Result<Self, Error> {
         let signs = field.signs(progress)?;
         let empty = EmptySpace::new(field.block_counts(), &field.occupied(&signs), progress)?;
         Ok(Self { field, signs, empty })
     }
 
     /// The empty blocks of the field.
-    pub fn empty(&self) -> &EmptySpace {
+    pub(crate) fn empty(&self) -> &EmptySpace {
         &self.empty
     }
 
@@ -146,7 +146,7 @@ impl<F: Blocks> Marcher<F> {
     }
 
     /// Traces a ray to its first hit with the trilinear field.
-    pub fn march(&self, ray: &GridRay) -> March {
+    pub(crate) fn march(&self, ray: &GridRay) -> March {
         let shape = self.field.grid().shape;
         let shape = each_axis(|axis| shape[axis] as i32);
         let line = MarchLine::new(ray);

@@ -14,7 +14,9 @@ use crate::quadric::Quadrics;
 use crate::scene;
 use crate::scene::content::instance::InstanceInput;
 use crate::scene::content::material::{Alpha, Material};
-use crate::scene::content::options::{Ambient, Light, Primary, RenderOptions, SceneShadows, Spot};
+use crate::scene::content::options::{
+    Ambient, BounceOptions, FarField, Light, Primary, RenderOptions, SceneShadows, Spot,
+};
 use crate::scene::content::texture::Texture as CoreTexture;
 use crate::scene::content::triangles::Triangles;
 use crate::scene::fields::field::{DenseField, SampledField};
@@ -22,8 +24,6 @@ use crate::scene::fields::nested::NestedField;
 use crate::scene::fields::quadric::QuadricField;
 use crate::scene::fields::shape::ShapeField;
 use crate::scene::fields::sparse::SparseBricks;
-use crate::scene::light::bounces::BounceOptions;
-use crate::scene::light::far_field::FarField;
 use crate::volume::Trilinear;
 use glam::{DAffine3, DMat4, DVec3, Mat4, Vec2, Vec4};
 use numpy::ndarray::ArrayView2;

@@ -14,7 +14,7 @@
 //! centre of all quadrics. Depths then agree with the CPU's to a few float32 roundings of the distance, and of the
 //! radius divided by the slope.
 
-use super::draw::QuadricView;
+use super::picture::QuadricView;
 use super::{LINEAR_UP_TO, Quadrics};
 use crate::error::{DeviceError, Error};
 use crate::gpu::Context;

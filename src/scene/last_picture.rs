@@ -3,8 +3,8 @@
 use crate::gpu::{Context, Place};
 use crate::picture::Camera;
 use crate::scene::content::model::Scene;
+use crate::scene::content::options::FarField;
 use crate::scene::content::options::{Light, Primary, RenderOptions, SceneShadows};
-use crate::scene::light::far_field::FarField;
 use crate::scene::lighting::light_buffer::LightBuffer;
 use crate::scene::visibility::gbuffer::{GBuffer, Layer};
 use glam::DVec3;

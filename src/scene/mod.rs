@@ -32,8 +32,9 @@ pub(crate) mod visibility;
 pub use content::instance::{Instance, InstanceInput};
 pub use content::material::{Alpha, Material};
 pub use content::model::Scene;
-pub use content::options::{Ambient, Light, MAX_LIGHTS, Primary, RenderOptions, SceneShadows, Spot};
-pub use light::bounces::{BounceOptions, MAX_BOUNCES};
+pub use content::options::{
+    Ambient, BounceOptions, Light, MAX_BOUNCES, MAX_LIGHTS, Primary, RenderOptions, SceneShadows, Spot,
+};
 pub use renderer::{Rendered, Renderer};
 
 #[cfg(test)]

@@ -8,10 +8,11 @@
 //! `csg_kinds`.
 
 use super::field;
+use super::placed_volume::PlacedVolume;
 use super::scalar::{Real, length2};
 use crate::csg::tree::primitive::{PARAMETERS, Primitive, primitives};
 use crate::csg::tree::profile::Profile;
-use crate::csg::tree::volume_leaf::{PlacedVolume, VolumeLeaf};
+use crate::csg::tree::volume_leaf::VolumeLeaf;
 use crate::gpu::shader::Instead;
 use std::fmt::Write;
 use std::sync::Arc;

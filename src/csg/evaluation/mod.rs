@@ -4,5 +4,6 @@ pub(crate) mod active_operands;
 pub(crate) mod dual;
 pub(crate) mod field;
 pub(crate) mod leaf;
+pub(crate) mod placed_volume;
 pub(crate) mod program;
 pub(crate) mod scalar;

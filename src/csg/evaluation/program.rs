@@ -7,11 +7,12 @@
 
 use super::leaf::{LeafField, PlacedLeaf};
 use super::scalar::{Real, length2};
-use crate::csg::model::lowered::{Coat, DistanceOp, Model};
+use crate::csg::model::lowered::{Coat, DistanceOp, MaskDistance, Model};
 use crate::csg::model::token::Token;
 use crate::csg::tree::placement::WarpKind;
 use crate::csg::tree::shape::{Blend, Op};
 use glam::{DMat3, DVec3};
+use std::sync::Arc;
 
 #[derive(Debug, Clone, Copy)]
 pub struct PlacedCombine<F> {
@@ -267,7 +268,7 @@ impl<F: Real> Program<F> {
                     let [x, y, z] = stack.positions.last().expect("there is a position").map(|x| x[0].widen());
                     let local = DVec3::new(x, y, z);
                     let p = if leaf.is_warped { self.frame.scale * local } else { self.frame.world(local) };
-                    colors.push(Coat::color(leaf.paint.as_deref(), p));
+                    colors.push(Coat::color(leaf.paint.as_deref(), p, mask_distance));
                 }
                 Token::Combine(i) => {
                     let combine = &self.combines[i as usize];
@@ -430,4 +431,14 @@ fn nearest_copy<F: Real>(x: F, [spacing, inverse, start, last, step]: &[F; 5]) -
 fn turned<F: Real>(x: F, y: F, z: F, angle: F) -> [F; 3] {
     let (sin, cos) = (angle.sin(), angle.cos());
     [cos * x - sin * y, sin * x + cos * y, z]
+}
+
+/// Compiles the field of a mask.
+fn mask_distance(model: &Arc<Model>) -> MaskDistance {
+    let model = model.clone();
+    let program = Program::<f64>::new(&model, LocalFrame::of(&model));
+    MaskDistance(Box::new(move |p| {
+        let at = program.frame.local(p).to_array().map(|x| [x]);
+        program.run(&model.tokens, &at, &mut Stack::default())[0]
+    }))
 }

@@ -5,9 +5,8 @@
 //! and Ullman, 1970), so a model of a million leaves needs a stack of twenty at any nesting.
 
 use super::bounds::Extent;
-use super::lowered::{Coat, Combine, DistanceOp, Leaf, Mask, MaskDistance, Model};
+use super::lowered::{Coat, Combine, DistanceOp, Leaf, Mask, Model};
 use super::token::Token;
-use crate::csg::evaluation::program::{LocalFrame, Program, Stack};
 use crate::csg::tree::placement::{Lattice, Placement, Stretch, Warp, WarpKind, reflection};
 use crate::csg::tree::primitive::Primitive;
 use crate::csg::tree::shape::{Blend, Kind, MAX_COPIES, MAX_LEAVES, Op, Shape, copies_of, too_many_leaves};
@@ -15,7 +14,7 @@ use crate::error::ShapeError;
 use crate::gpu::constants::csg_interpreter::MAX_WARPS;
 use glam::DVec3;
 use std::collections::HashMap;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 impl Model {
     /// The model of a tree.
@@ -208,13 +207,13 @@ impl Builder {
                 tasks.push(Task::Visit(&children[0], InheritedState { coat: Some(Arc::new(coat)), ..context }));
             }
             Kind::Stencil { color, outside } => {
-                let model = Self::default().build(&children[1])?;
-                let program = Program::<f64>::new(&model, LocalFrame::of(&model));
-                let distance = MaskDistance(Box::new(move |p| {
-                    let at = program.frame.local(p).to_array().map(|x| [x]);
-                    program.run(&model.tokens, &at, &mut Stack::default())[0]
-                }));
-                let mask = Mask { shape: children[1].clone(), distance, place: context.place, outside };
+                let mask = Mask {
+                    shape: children[1].clone(),
+                    model: Arc::new(Self::default().build(&children[1])?),
+                    distance: OnceLock::new(),
+                    place: context.place,
+                    outside,
+                };
                 let coat = Coat { above: context.coat, color, over: true, mask: Some(mask) };
                 tasks.push(Task::Visit(&children[0], InheritedState { coat: Some(Arc::new(coat)), ..context }));
             }

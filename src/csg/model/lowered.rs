@@ -18,7 +18,7 @@ use crate::csg::tree::shape::{Blend, Op, Shape};
 use crate::error::ShapeError;
 use glam::DVec3;
 use std::fmt;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 #[derive(Debug, Clone)]
 pub struct Leaf {
@@ -69,7 +69,10 @@ pub struct Coat {
 #[derive(Debug)]
 pub struct Mask {
     pub shape: Shape,
-    pub distance: MaskDistance,
+    /// The lowered shape.
+    pub model: Arc<Model>,
+    /// Its field, compiled at the first use.
+    pub distance: OnceLock<MaskDistance>,
     pub place: Placement,
     pub outside: bool,
 }
@@ -93,12 +96,13 @@ impl Drop for Coat {
 }
 
 impl Coat {
-    /// The colour of a painted leaf at a point, in the units of the leaf's placement.
-    pub fn color(coat: Option<&Self>, p: DVec3) -> Option<[f32; 3]> {
+    /// The colour of a painted leaf at a point, in the units of the leaf's placement. `compile` makes the field of a
+    /// mask.
+    pub fn color(coat: Option<&Self>, p: DVec3, compile: fn(&Arc<Model>) -> MaskDistance) -> Option<[f32; 3]> {
         let mut color = None;
         let mut next = coat;
         while let Some(coat) = next {
-            if (color.is_none() || coat.over) && coat.mask.as_ref().is_none_or(|mask| mask.covers(p)) {
+            if (color.is_none() || coat.over) && coat.mask.as_ref().is_none_or(|mask| mask.covers(p, compile)) {
                 color = Some(coat.color);
             }
             next = coat.above.as_deref();
@@ -108,9 +112,10 @@ impl Coat {
 }
 
 impl Mask {
-    fn covers(&self, p: DVec3) -> bool {
+    fn covers(&self, p: DVec3, compile: fn(&Arc<Model>) -> MaskDistance) -> bool {
         let inside = self.place.rotation.transpose() * (p - self.place.translation) / self.place.scale;
-        ((self.distance.0)(inside) <= 0.0) != self.outside
+        let distance = self.distance.get_or_init(|| compile(&self.model));
+        ((distance.0)(inside) <= 0.0) != self.outside
     }
 }
 

@@ -28,7 +28,7 @@ pub struct InstanceInput {
     pub visible: bool,
     /// Identifier in the picture; several instances may be one object.
     pub object: u32,
-    /// Whether light intersects its triangles instead of its field ([`crate::scene::light::sheets`]).
+    /// Whether light intersects its triangles instead of its field ([`crate::scene::light::past_sheets`]).
     pub is_sheet: bool,
 }
 
@@ -54,7 +54,7 @@ pub struct Instance {
     pub has_colored_mask: bool,
     /// Identifier in the picture.
     pub object: u32,
-    /// Whether light intersects its triangles instead of its field ([`crate::scene::light::sheets`]).
+    /// Whether light intersects its triangles instead of its field ([`crate::scene::light::past_sheets`]).
     pub is_sheet: bool,
     /// Transform from scene space to the local coordinates of the mesh's tree (`Mesh::local_from_world`).
     pub tree_from_scene: DAffine3,

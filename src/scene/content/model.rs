@@ -1,13 +1,13 @@
 //! A scene prepared for drawing.
 
+use super::ball::Ball;
 use super::instance::{Instance, InstanceInput, world_box};
 use super::material::Material;
+use super::sheets::Sheets;
 use super::texture::Texture;
 use super::tree::Tree;
 use crate::error::{Error, SceneError};
 use crate::geometry::Aabb;
-use crate::scene::light::occlusion::Ball;
-use crate::scene::light::sheets::Sheets;
 use glam::{DAffine3, DVec3};
 use std::sync::{Arc, OnceLock};
 

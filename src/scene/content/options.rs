@@ -1,8 +1,9 @@
 //! Lights, and the options of a picture of a scene.
 
-use crate::scene::light::bounces::BounceOptions;
-use crate::scene::light::far_field::FarField;
+use crate::scene::fields::field::Field;
 use glam::{DVec3, Mat3, Mat4, Vec3};
+use std::fmt;
+use std::sync::Arc;
 
 /// A light in world units.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -118,6 +119,45 @@ pub enum SceneShadows {
     /// The march of the article, with its constants in world units.
     Article,
 }
+
+/// Number of bounces and of paths for each surface.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct BounceOptions {
+    /// Largest number of diffuse reflections before the visible surface, 1 to [`MAX_BOUNCES`].
+    pub count: u32,
+    /// Number of paths.
+    pub samples: u32,
+}
+
+/// Largest number of bounces.
+pub const MAX_BOUNCES: u32 = 4;
+
+/// Fields in world space, finest first, and the distance from which they are evaluated.
+#[derive(Clone)]
+pub struct FarField {
+    /// One field, or several nested ones ([`crate::scene::fields::nested`]).
+    pub levels: Vec<Arc<dyn Field>>,
+    /// World units. The default is [`FAR_VOXELS`] voxels of the level in which a ray starts.
+    pub distance: Option<f64>,
+}
+
+/// Far fields are equal if they have the same fields, not copies of them, and the same distance.
+impl PartialEq for FarField {
+    fn eq(&self, other: &Self) -> bool {
+        let [own, others] = [self, other].map(|far| far.levels.iter().map(|level| Arc::as_ptr(level).addr()));
+        own.eq(others) && self.distance == other.distance
+    }
+}
+
+impl fmt::Debug for FarField {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "FarField of {} levels from {:?}", self.levels.len(), self.distance)
+    }
+}
+
+/// Default start of the far part of a ray, voxels of the level in which the ray starts. The surface of a far field is
+/// up to about one voxel off, so the edge of a shadow is accurate to an eighth of the length of the ray.
+pub(crate) const FAR_VOXELS: f64 = 8.0;
 
 /// Options of a picture.
 #[derive(Debug, Clone)]

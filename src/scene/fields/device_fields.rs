@@ -1,9 +1,7 @@
 //! The fields of a scene in the layout of devices (`shaders/shared/scene/scene_field.wgsl`): one record per field, and
 //! the tables of floats and bytes that records refer to. The shader of each kind documents its layout.
 
-use super::field::{DenseField, SampledField};
 use super::shader_variants::{ARRAY, FieldKind, GeometryKinds, MAX_STRUCTURES, TURNS};
-use super::sparse::SparseBricks;
 use crate::csg::model::lowered::Model;
 use crate::csg::parts::solid::Solid;
 use crate::csg::text::structure_text::Whole;
@@ -14,6 +12,7 @@ use crate::grid::Grid;
 use crate::march::empty::EmptySpace;
 use crate::quadric::local::Local;
 use crate::volume::Trilinear;
+use crate::volume::sparse::SparseView;
 
 /// Tables that grow by one field at a time.
 pub struct DeviceFields<'a> {
@@ -29,16 +28,13 @@ impl<'a> DeviceFields<'a> {
         Self { context, records: Vec::new(), samples: Vec::new(), bytes: Vec::new(), kinds: GeometryKinds::default() }
     }
 
-    pub fn add_dense(&mut self, field: &SampledField<DenseField>) -> Result<(), DeviceError> {
-        let marcher = field.marcher();
-        let record = self.sampled(FieldKind::Dense, marcher.field.grid(), marcher.empty());
-        self.add(record, &[marcher.field.samples()])
+    pub fn add_dense(&mut self, grid: &Grid, samples: &[f32], empty: &EmptySpace) -> Result<(), DeviceError> {
+        let record = self.sampled(FieldKind::Dense, grid, empty);
+        self.add(record, &[samples])
     }
 
-    pub fn add_sparse(&mut self, field: &SampledField<SparseBricks>) -> Result<(), DeviceError> {
-        let marcher = field.marcher();
-        let view = marcher.field.view();
-        let record = self.sampled(FieldKind::Sparse, view.grid(), marcher.empty());
+    pub fn add_sparse(&mut self, view: &SparseView<'_, f32>, empty: &EmptySpace) -> Result<(), DeviceError> {
+        let record = self.sampled(FieldKind::Sparse, view.grid(), empty);
         self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
         self.bytes.extend_from_slice(bytemuck::cast_slice(view.index()));
         let (params, nodes) = view.for_devices();

@@ -135,7 +135,7 @@ pub trait Field: Send + Sync {
 
 /// A stored field of trilinear cells, prepared for rays.
 #[derive(Debug)]
-pub struct SampledField<F: Blocks> {
+pub(crate) struct SampledField<F: Blocks> {
     marcher: Marcher<F>,
     /// Corners of the box of the surface, grid space.
     surface: [Vec3; 2],
@@ -148,7 +148,7 @@ pub struct SampledField<F: Blocks> {
 
 impl<F: Blocks> SampledField<F> {
     /// `inner` must contain the surface, world units of the grid. Fails if a distance is not finite or too large.
-    pub fn new(field: F, inner: [DVec3; 2], progress: &Progress) -> Result<Self, Error> {
+    pub(crate) fn new(field: F, inner: [DVec3; 2], progress: &Progress) -> Result<Self, Error> {
         let last_point = (field.shape() - 0.5).as_vec3();
         // The trilinear surface may deviate from the true one by less than a voxel.
         let lower = (field.grid_from_world(inner[0]).as_vec3() - 1.0).clamp(Vec3::splat(-0.5), last_point);
@@ -160,7 +160,7 @@ impl<F: Blocks> SampledField<F> {
         Ok(Self { marcher, surface: [lower, upper], spacing, last_point, last_cell, is_lipschitz })
     }
 
-    pub fn marcher(&self) -> &Marcher<F> {
+    pub(crate) fn marcher(&self) -> &Marcher<F> {
         &self.marcher
     }
 
@@ -276,7 +276,7 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
 }
 
 /// Fields that devices support.
-pub trait OnDevice: Blocks + Sized {
+pub(crate) trait OnDevice: Blocks + Sized {
     /// See [`Field::is_loose`].
     const IS_LOOSE: bool = false;
 
@@ -294,18 +294,18 @@ pub trait OnDevice: Blocks + Sized {
 
 /// A grid of distances that owns its samples, x fastest.
 #[derive(Debug)]
-pub struct DenseField {
+pub(crate) struct DenseField {
     grid: Grid,
     samples: Vec<f32>,
 }
 
 impl DenseField {
-    pub fn new(grid: Grid, samples: Vec<f32>) -> Result<Self, Error> {
+    pub(crate) fn new(grid: Grid, samples: Vec<f32>) -> Result<Self, Error> {
         FieldView::new(grid, &samples)?;
         Ok(Self { grid, samples })
     }
 
-    pub fn samples(&self) -> &[f32] {
+    pub(crate) fn samples(&self) -> &[f32] {
         &self.samples
     }
 
@@ -352,7 +352,8 @@ impl OnDevice for DenseField {
     }
 
     fn enter(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<(), DeviceError> {
-        tables.add_dense(field)
+        let marcher = field.marcher();
+        tables.add_dense(marcher.field.grid(), marcher.field.samples(), marcher.empty())
     }
 }
 

@@ -17,6 +17,7 @@
 
 use super::field::{Field, FieldHit, FieldRay};
 use crate::error::{Error, SceneError};
+use crate::geometry::clip;
 use glam::{DAffine3, Vec3};
 use std::sync::Arc;
 
@@ -46,14 +47,7 @@ impl NestedLevel {
     /// The part of a ray in the region, in grid space of the finest level; empty if the ray misses.
     fn clip(&self, ray: &FieldRay, t_max: f32) -> [f32; 2] {
         let (origin, direction) = (self.in_its_grid(ray.origin), self.scale * ray.direction);
-        let part = crate::scene::light::light_rays::clip(
-            origin.as_dvec3(),
-            direction.as_dvec3(),
-            self.region[0],
-            self.region[1],
-            0.0,
-            f64::from(t_max),
-        );
+        let part = clip(origin.as_dvec3(), direction.as_dvec3(), self.region[0], self.region[1], 0.0, f64::from(t_max));
         part.map_or([t_max, t_max], |(enter, leave)| [enter as f32, leave as f32])
     }
 }

@@ -2,10 +2,10 @@
 //!
 //! # Theory
 //!
-//! Field space is the shape's own local space ([`crate::csg::evaluation::program::LocalFrame`], a model of a size
-//! from 1/2 to 1) in units of 1/[`UNITS`]. Rays are those of [`crate::csg::parts::trace`]: roots of the field, part by part, each
-//! in its own boxes. A distance is the field over its declared Lipschitz constant, which is a lower bound inside and
-//! outside.
+//! Field space is the shape's own local space ([`crate::csg::evaluation::program::LocalFrame`], a model of a size from
+//! 1/2 to 1) in units of 1/[`UNITS`]. Rays are those of [`crate::csg::parts::trace`]: roots of the field, part by part,
+//! each in its own boxes. A distance is the field over its declared Lipschitz constant, which is a lower bound inside
+//! and outside.
 //!
 //! Penumbrae need the distance itself. If the shape is not exact, [`Field::distance_guess`] takes several first-order
 //! steps to the surface, each of the field over its gradient. The end point is on the surface to first order, so its

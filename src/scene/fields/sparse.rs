@@ -22,10 +22,10 @@ self_cell::self_cell!(
 type Bricks<'a> = MaskedBricks<'a, f32>;
 
 /// A sparse field prepared for rays.
-pub struct SparseBricks(Owned);
+pub(crate) struct SparseBricks(Owned);
 
 impl SparseBricks {
-    pub fn new(field: SparseField<f32>, progress: &Progress) -> Result<Self, Error> {
+    pub(crate) fn new(field: SparseField<f32>, progress: &Progress) -> Result<Self, Error> {
         Ok(Self(Owned::try_new(field, |field| MaskedBricks::new(field.view()?, progress))?))
     }
 
@@ -33,7 +33,7 @@ impl SparseBricks {
         self.0.borrow_dependent()
     }
 
-    pub fn view(&self) -> &SparseView<'_, f32> {
+    pub(crate) fn view(&self) -> &SparseView<'_, f32> {
         self.bricks().view()
     }
 }
@@ -76,6 +76,7 @@ impl OnDevice for SparseBricks {
     const IS_LOOSE: bool = true;
 
     fn enter(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<(), DeviceError> {
-        tables.add_sparse(field)
+        let marcher = field.marcher();
+        tables.add_sparse(marcher.field.view(), marcher.empty())
     }
 }

@@ -24,20 +24,8 @@ use super::lit_surface::Lights;
 use super::shadow::Casters;
 use crate::error::Error;
 use crate::progress::Progress;
-use crate::scene::content::options::{Ambient, RenderOptions, SceneShadows};
+use crate::scene::content::options::{Ambient, BounceOptions, MAX_BOUNCES, RenderOptions, SceneShadows};
 use glam::{DVec3, Vec2, Vec3};
-
-/// Number of bounces and of paths for each surface.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct BounceOptions {
-    /// Largest number of diffuse reflections before the visible surface, 1 to [`MAX_BOUNCES`].
-    pub count: u32,
-    /// Number of paths.
-    pub samples: u32,
-}
-
-/// Largest number of bounces.
-pub const MAX_BOUNCES: u32 = 4;
 
 /// Number of values of a sample for each vertex of its path: two for a point on the emitters, two for a direction.
 const PER_VERTEX: usize = 4;
@@ -73,7 +61,7 @@ impl<'a> Bounces<'a> {
     ) -> Result<Option<Self>, Error> {
         let Some(bounces) = options.bounces else { return Ok(None) };
         let scene = casters.scene;
-        // Trees are built here: see `Sheets::new`.
+        // Trees are built here: see `Sheets::new` of the scene's content.
         for triangles in scene.instances.iter().filter_map(|instance| instance.triangles.as_ref()) {
             triangles.mesh.bvh();
         }

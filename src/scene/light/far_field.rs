@@ -33,42 +33,15 @@
 //!
 //! [`Far::new`] places a field in a scene, once per picture; [`super::shadow::Casters`] evaluates it.
 
-use super::light_rays::{LightRay, SurfacePoint, clip, widest};
+use super::light_rays::{LightRay, SurfacePoint, widest};
 use crate::error::{Error, SceneError};
-use crate::geometry::Aabb;
+use crate::geometry::{Aabb, clip};
 use crate::scene::content::instance::{Instance, InstanceInput};
 use crate::scene::content::model::Scene;
+use crate::scene::content::options::{FAR_VOXELS, FarField};
 use crate::scene::fields::field::Field;
 use glam::{DAffine3, Vec3};
-use std::fmt;
 use std::sync::Arc;
-
-/// Fields in world space, finest first, and the distance from which they are evaluated.
-#[derive(Clone)]
-pub struct FarField {
-    /// One field, or several nested ones ([`crate::scene::fields::nested`]).
-    pub levels: Vec<Arc<dyn Field>>,
-    /// World units. The default is [`FAR_VOXELS`] voxels of the level in which a ray starts.
-    pub distance: Option<f64>,
-}
-
-/// Far fields are equal if they have the same fields, not copies of them, and the same distance.
-impl PartialEq for FarField {
-    fn eq(&self, other: &Self) -> bool {
-        let [own, others] = [self, other].map(|far| far.levels.iter().map(|level| Arc::as_ptr(level).addr()));
-        own.eq(others) && self.distance == other.distance
-    }
-}
-
-impl fmt::Debug for FarField {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "FarField of {} levels from {:?}", self.levels.len(), self.distance)
-    }
-}
-
-/// Default start of the far part of a ray, voxels of the level in which the ray starts. The surface of a far field is
-/// up to about one voxel off, so the edge of a shadow is accurate to an eighth of the length of the ray.
-pub(crate) const FAR_VOXELS: f64 = 8.0;
 
 /// A far field in a scene.
 pub struct Far {

@@ -8,7 +8,6 @@ use super::transmission;
 use super::transmission::NO_LIGHT;
 use crate::scene::content::model::Scene;
 use crate::scene::content::options::{Light, RenderOptions, SceneShadows, Spot};
-use crate::scene::lighting::light_buffer::LightSampleMut;
 use crate::scene::visibility::gbuffer::{GBuffer, Layer};
 use glam::{DVec3, Vec3};
 
@@ -108,6 +107,13 @@ fn share_of_cone(spot: &Spot, direction: DVec3) -> f64 {
 pub(crate) fn pixel_turn(x: usize, y: usize) -> f32 {
     let value = 52.982_918 * (0.067_110_56 * x as f32 + 0.005_837_15 * y as f32).fract();
     value.fract() * std::f32::consts::TAU
+}
+
+/// Light on a layer, for writing: the fields of [`crate::scene::lighting::light_buffer::LightSample`].
+pub struct LightSampleMut<'a> {
+    pub open: &'a mut f32,
+    pub shares: &'a mut [f32],
+    pub through: &'a mut [[f32; 3]],
 }
 
 /// A layer in scene space.

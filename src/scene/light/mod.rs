@@ -11,7 +11,7 @@ pub(crate) mod lit_surface;
 pub(crate) mod near_instances;
 pub(crate) mod occluder;
 pub(crate) mod occlusion;
+pub(crate) mod past_sheets;
 pub(crate) mod ray_bundle;
 pub(crate) mod shadow;
-pub(crate) mod sheets;
 pub(crate) mod transmission;

@@ -1,9 +1,9 @@
 //! One occluder on a ray or cone to a light: where it is evaluated, in the space of its field.
 
 use super::cone::ConeWalk;
-use super::light_rays::{LightCone, LightRay, LightWork, SurfacePoint, clip, widest};
+use super::light_rays::{LightCone, LightRay, LightWork, SurfacePoint, widest};
 use super::ray_bundle::is_clear;
-use crate::geometry::Aabb;
+use crate::geometry::{Aabb, clip};
 use crate::scene::content::instance::Instance;
 use crate::scene::fields::field::{Field, FieldHit, FieldRay};
 use glam::DVec3;

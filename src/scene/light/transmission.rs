@@ -24,9 +24,10 @@
 //! starts one voxel before `p`, outside, and the length begins at the field's own surface; a ray away from it starts
 //! outside like shadow rays.
 
-use super::light_rays::{LightRay, LightWork, SurfacePoint, clip};
+use super::light_rays::{LightRay, LightWork, SurfacePoint};
 use super::occluder::ray_in_field;
 use super::shadow::Casters;
+use crate::geometry::clip;
 use crate::scene::fields::field::FieldRay;
 use glam::Vec3;
 

@@ -1,13 +1,13 @@
 //! Light evaluated on a device by beams that the CPU makes.
 
-use super::light_buffer::{LightBuffer, LightSampleMut, parts_of, stride};
+use super::light_buffer::{LightBuffer, parts_of, stride};
 use super::pass::Pass;
 use crate::error::{DeviceError, Error};
 use crate::gpu::layout::{Answer, Beam};
 use crate::scene::content::options::SceneShadows;
 use crate::scene::device::device_scene::{DeviceScene, WIDE, beam, work_of};
 use crate::scene::light::light_rays::{LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
-use crate::scene::light::lit_surface::LitSurface;
+use crate::scene::light::lit_surface::{LightSampleMut, LitSurface};
 use crate::scene::light::occlusion::{AO_CONES, AO_SLOPE};
 use glam::Vec3;
 use rayon::prelude::*;

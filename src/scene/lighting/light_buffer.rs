@@ -1,6 +1,7 @@
 //! The light on the surfaces of a G-buffer.
 
 use crate::scene::light::light_rays::LightWork;
+use crate::scene::light::lit_surface::LightSampleMut;
 use crate::scene::visibility::gbuffer::{GBuffer, Layer};
 
 /// Light on one layer.
@@ -13,13 +14,6 @@ pub(crate) struct LightSample<'a> {
     /// Fraction of each light, RGB, that arrives through the layer's own instance, weighted for the surface; 0 if it
     /// does not scatter.
     pub through: &'a [[f32; 3]],
-}
-
-/// [`LightSample`] for writing.
-pub struct LightSampleMut<'a> {
-    pub open: &'a mut f32,
-    pub shares: &'a mut [f32],
-    pub through: &'a mut [[f32; 3]],
 }
 
 /// The light on the layers of a G-buffer.

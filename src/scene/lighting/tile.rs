@@ -8,12 +8,13 @@
 //! test the remaining instances only. A ray first tests the instance that blocked the last ray of the tile.
 
 use super::pass::Pass;
+use crate::geometry::clip;
 use crate::scene::content::instance::Instance;
 use crate::scene::content::model::Scene;
 use crate::scene::content::options::SceneShadows;
 use crate::scene::content::tree::Line;
 use crate::scene::light::cone::ConeWalk;
-use crate::scene::light::light_rays::{LightRay, clip};
+use crate::scene::light::light_rays::LightRay;
 use crate::scene::light::lit_surface::SceneLight;
 use crate::scene::light::occluder::NearList;
 use crate::scene::visibility::gbuffer::Layer;

@@ -3,6 +3,7 @@
 use super::appearance::{FaceLook, field_color, field_emission};
 use super::gbuffer::{Layer, View};
 use crate::bvh::rays::watertight::{FaceHit, Ray};
+use crate::geometry::clip;
 use crate::scene::content::instance::Instance;
 use crate::scene::content::material::{Alpha, Material};
 use crate::scene::content::model::Scene;
@@ -196,7 +197,7 @@ impl Eye<'_> {
         let origin = instance.field_from_scene.transform_point3(eye);
         let along = instance.field_from_scene.matrix3 * (direction / scene.scale);
         let [lower, upper] = field.surface_bounds();
-        let (enter, leave) = crate::scene::light::light_rays::clip(origin, along, lower, upper, from, nearest)?;
+        let (enter, leave) = clip(origin, along, lower, upper, from, nearest)?;
         let ray = FieldRay { origin: (origin + enter * along).as_vec3(), direction: along.as_vec3() };
         let (hit, taken) = field.first_hit(&ray, (leave - enter) as f32);
         *steps += taken;

@@ -25,11 +25,11 @@ use super::lit_surface::{Lights, LitSurface};
 use super::occlusion::AO_SLOPE;
 use crate::bvh::rays::watertight;
 use crate::bvh::rays::watertight::FaceHit;
-use crate::geometry::Aabb;
 use crate::scene::content::instance::Instance;
 use crate::scene::content::model::Scene;
 use crate::scene::content::options::{RenderOptions, SceneShadows};
-use crate::scene::content::tree::{Line, Tree};
+use crate::scene::content::sheets::Sheets;
+use crate::scene::content::tree::Line;
 use crate::scene::visibility::appearance::FaceLook;
 use glam::{DVec3, Vec2};
 
@@ -51,41 +51,7 @@ const SAME_DEPTH: f64 = 1e-9;
 /// Number of translucent crossings of one mesh that are compared by depth.
 const CROSSINGS: usize = 16;
 
-/// The instances whose triangles light intersects, and a tree over their boxes.
-#[derive(Debug, Default)]
-pub struct Sheets {
-    /// Index of each sheet among the scene's instances.
-    instances: Vec<u32>,
-    /// Whether each sheet lies in a plane, so that it does not occlude itself.
-    is_flat: Vec<bool>,
-    tree: Option<Tree>,
-}
-
 impl Sheets {
-    pub fn new(instances: &[Instance], boxes: &[Aabb]) -> Self {
-        let casts = |instance: &Instance| instance.is_sheet && instance.casts_shadow && instance.opacity > 0.0;
-        let found: Vec<u32> = (0..instances.len() as u32).filter(|&i| casts(&instances[i as usize])).collect();
-        let boxes: Vec<Aabb> = found.iter().map(|&i| boxes[i as usize]).collect();
-        let tree = (!found.is_empty()).then(|| Tree::new(&boxes));
-        // Trees and topologies are built here in parallel. If they were built at the first ray, inside a parallel loop,
-        // a worker could wait for work that is queued behind its own.
-        for triangles in found.iter().filter_map(|&i| instances[i as usize].triangles.as_ref()) {
-            triangles.mesh.bvh();
-            triangles.mesh.topology();
-        }
-        let flat =
-            |&i: &u32| instances[i as usize].triangles.as_ref().is_some_and(|triangles| triangles.is_flat(0.5 * LIFT));
-        Self { is_flat: found.iter().map(flat).collect(), instances: found, tree }
-    }
-
-    pub fn len(&self) -> usize {
-        self.instances.len()
-    }
-
-    pub fn is_empty(&self) -> bool {
-        self.instances.is_empty()
-    }
-
     /// The sheets whose boxes a cone of radius `slope t` touches, without the own sheet if it cannot occlude the place.
     fn near(&self, place: &SurfacePoint, ray: &LightRay, slope: f32) -> Vec<u32> {
         let mut found = Vec::new();
