@@ -5,7 +5,7 @@
 //! shape stay in the data of the view, so that a changed parameter compiles nothing.
 
 use crate::csg::parts::solid::Solid;
-use crate::csg::text::structure_text::Whole;
+use crate::csg::text::structure_text::StructureText;
 use crate::encoding::Encoding;
 use crate::error::{DeviceError, Error};
 use crate::gpu::shader::{shared, source_with};
@@ -62,7 +62,7 @@ pub(crate) fn shader(kinds: ViewedKinds, solids: &[Arc<Solid>], language: Langua
     let mut functions: Vec<(String, Option<String>)> = Vec::new();
     let mut shapes = Vec::new();
     for solid in solids {
-        shapes.push(Whole::of(solid, ARRAY, "steps").map(|whole| {
+        shapes.push(StructureText::of(solid, ARRAY, "steps").map(|whole| {
             let function = (whole.body, whole.color);
             let known = functions.iter().position(|known| *known == function);
             if known.is_none() {
@@ -158,7 +158,7 @@ fn shapes_text(functions: &[(String, Option<String>)]) -> String {
     if !functions.is_empty() {
         text += shared("csg_field").unwrap_or_default();
         text += MIXED_COLOR;
-        text += &by_calls(&Whole::helpers(ARRAY));
+        text += &by_calls(&StructureText::helpers(ARRAY));
     }
     let (mut distances, mut colors) = (String::new(), String::new());
     // Writing to a string cannot fail.

@@ -46,7 +46,7 @@ struct Cone {
 // Evaluates a cone past one occluder. Only edges closer to the axis than x_known are relevant. Without `with_edges` a
 // cone that needs a ray past an edge sets `needs_edge`. The CPU traces the axis only near surfaces; it finds the same
 // shares.
-fn cone_past(caster: Caster, beam: Beam, ray: FieldRay, span: vec2f, x_known: f32, with_edges: bool) -> Cone {
+fn cone_past(caster: Occluder, beam: Beam, ray: FieldRay, span: vec2f, x_known: f32, with_edges: bool) -> Cone {
     let t_hit = hit_of(caster, ray);
     if t_hit < 0.0 && x_known <= 0.0 { return Cone(1.0, false); }
     let deepest = nearest_edge(beam, caster.index, ray, x_known, span, t_hit);
@@ -66,7 +66,7 @@ fn cone_past(caster: Caster, beam: Beam, ray: FieldRay, span: vec2f, x_known: f3
 }
 
 // The interval of a cone in which the surface of an occluder may come within `x_known` radii of the axis.
-fn cone_span(caster: Caster, beam: Beam, ray: FieldRay, x_known: f32) -> vec2f {
+fn cone_span(caster: Occluder, beam: Beam, ray: FieldRay, x_known: f32) -> vec2f {
     let to = &instances[caster.index];
     let needed = beam.slope * max(x_known, 0.0);
     let grown = (*to).field_extent * widest(beam.p, needed, (*to).box_min, (*to).box_max, beam.t_max);
@@ -80,7 +80,7 @@ fn cone_span(caster: Caster, beam: Beam, ray: FieldRay, x_known: f32) -> vec2f {
 }
 
 // The largest clearance of rays past the edges of an occluder in radii, from 0 to 1: see `rays_past` in cone.rs.
-fn largest_clearance_past(caster: Caster, beam: Beam, ray: FieldRay, deepest: vec2f) -> f32 {
+fn largest_clearance_past(caster: Occluder, beam: Beam, ray: FieldRay, deepest: vec2f) -> f32 {
     let index = caster.index;
     let to = &instances[index];
     let t = deepest.y;
@@ -274,14 +274,14 @@ fn visible_share(edge: f32) -> f32 {
 const THIN_RAYS: u32 = 8u;
 
 // Transmitted fractions of the rays of a cone.
-struct ThinRays {
+struct RayBundle {
     shares: array<f32, THIN_RAYS>,
     // Whether an object was near enough to be tested.
     is_tested: bool,
 }
 
-fn all_thin_rays() -> ThinRays {
-    var thin: ThinRays;
+fn all_thin_rays() -> RayBundle {
+    var thin: RayBundle;
     for (var i = 0u; i < THIN_RAYS; i++) { thin.shares[i] = 1.0; }
     return thin;
 }
@@ -330,7 +330,7 @@ fn thin_ray(beam: Beam, i: u32) -> Beam {
 }
 
 // Multiplies the rays that hit an instance by its transmitted fraction.
-fn block(thin: ptr<function, ThinRays>, caster: Caster, beam: Beam) {
+fn block(thin: ptr<function, RayBundle>, caster: Occluder, beam: Beam) {
     let to = &instances[caster.index];
     (*thin).is_tested = true;
     for (var i = 0u; i < THIN_RAYS; i++) {
@@ -345,7 +345,7 @@ fn block(thin: ptr<function, ThinRays>, caster: Caster, beam: Beam) {
     }
 }
 
-fn thin_share(thin: ptr<function, ThinRays>) -> f32 {
+fn thin_share(thin: ptr<function, RayBundle>) -> f32 {
     var sum = 0.0;
     for (var i = 0u; i < THIN_RAYS; i++) { sum += (*thin).shares[i]; }
     return sum / f32(THIN_RAYS);

@@ -8,7 +8,7 @@
 //! and the plane is the level set of this function. On the flat side of a crease the plane is therefore exact even
 //! where the point lies off the surface.
 
-use crate::csg::evaluation::active_operands::DecidingTokens;
+use crate::csg::evaluation::active_operands::ActiveTokens;
 use crate::csg::evaluation::dual::Dual;
 use crate::csg::evaluation::program::{Program, Stack};
 use crate::csg::parts::solid::{LANES, Solid, run_wide};
@@ -97,7 +97,7 @@ pub fn level_surface(solid: &Solid, grid: &Grid, level: f32, progress: &Progress
 #[derive(Default)]
 struct Scratch {
     stack: Stack<Dual, POINTS>,
-    deciding: DecidingTokens<POINTS>,
+    deciding: ActiveTokens<POINTS>,
 }
 
 /// A shape whose tangent planes are evaluated.

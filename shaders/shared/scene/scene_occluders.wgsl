@@ -110,7 +110,7 @@ fn ray_in_field(index: u32, beam: Beam) -> FieldRay {
 }
 
 // An occluder on an interval of a beam: an instance, or a level of the far field.
-struct Caster {
+struct Occluder {
     index: u32,
     part: vec2f,
     // Length to skip if the interval begins inside it.
@@ -156,9 +156,9 @@ fn begin_walk(beam: Beam) -> Walk {
 }
 
 // The next occluder whose box the beam enters; NO_INSTANCE at the end.
-fn next_caster(walk: ptr<function, Walk>, beam: Beam) -> Caster {
+fn next_caster(walk: ptr<function, Walk>, beam: Beam) -> Occluder {
     if HAS_FAR && (*walk).again != NO_INSTANCE {
-        let again = Caster((*walk).again, vec2f((*walk).split.rest, beam.t_max), 0.0);
+        let again = Occluder((*walk).again, vec2f((*walk).split.rest, beam.t_max), 0.0);
         (*walk).again = NO_INSTANCE;
         return again;
     }
@@ -205,9 +205,9 @@ fn next_caster(walk: ptr<function, Walk>, beam: Beam) -> Caster {
         if beam.cut == ROOT_WITHOUT_OWN && index == beam.own { continue; }
         // The far field contains opaque solids only.
         let is_whole = opacity < 1.0 || (HAS_THIN && instances[index].prefers_rays != 0u);
-        if is_whole { return Caster(index, vec2f(0.0, beam.t_max), 0.0); }
+        if is_whole { return Occluder(index, vec2f(0.0, beam.t_max), 0.0); }
         if HAS_FAR && (*walk).split.rest < FAR_T { (*walk).again = index; }
-        return Caster(index, vec2f(0.0, (*walk).split.near), 0.0);
+        return Occluder(index, vec2f(0.0, (*walk).split.near), 0.0);
     }
     // The CPU evaluates a beam whose search did not end.
     if steps + visits >= MAX_STEPS { steps = MAX_STEPS; }
@@ -215,9 +215,9 @@ fn next_caster(walk: ptr<function, Walk>, beam: Beam) -> Caster {
 }
 
 // The next level of the far field on its next piece of the beam.
-fn next_level(walk: ptr<function, Walk>, beam: Beam) -> Caster {
+fn next_level(walk: ptr<function, Walk>, beam: Beam) -> Occluder {
     let far = (*walk).split.far;
-    if !HAS_FAR || far.x > far.y { return Caster(NO_INSTANCE, NOWHERE, 0.0); }
+    if !HAS_FAR || far.x > far.y { return Occluder(NO_INSTANCE, NOWHERE, 0.0); }
     is_far = 1u;
     while (*walk).pieces < 2u * params.far_levels + zero {
         let level = params.far + (*walk).pieces / 2u;
@@ -227,14 +227,14 @@ fn next_level(walk: ptr<function, Walk>, beam: Beam) -> Caster {
         let piece = piece_of(which, part, (*walk).finer);
         if which == 1u && part.x <= part.y { (*walk).finer = part; }
         if piece.x < piece.y {
-            return Caster(level, piece, select(0.0, instances[level].voxel, piece.x == far.x));
+            return Occluder(level, piece, select(0.0, instances[level].voxel, piece.x == far.x));
         }
     }
-    return Caster(NO_INSTANCE, NOWHERE, 0.0);
+    return Occluder(NO_INSTANCE, NOWHERE, 0.0);
 }
 
 // The t at which a beam enters an occluder, or -1.
-fn hit_of(caster: Caster, ray: FieldRay) -> f32 {
+fn hit_of(caster: Occluder, ray: FieldRay) -> f32 {
     let to = &instances[caster.index];
     let field = fields[(*to).field];
     var part = caster.part;

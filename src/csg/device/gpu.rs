@@ -22,7 +22,7 @@ use crate::csg::parts::cells::PartProgram;
 use crate::csg::parts::chord::{PartKind, Step};
 use crate::csg::parts::solid::Solid;
 use crate::csg::parts::trace::Tracer;
-use crate::csg::text::specialised_kernel::{Compiled, Entry};
+use crate::csg::text::specialised_kernel::{Entry, SpecialisedKernel};
 use crate::csg::tree::placement::by_number;
 use crate::csg::tree::shape::Op;
 use crate::error::{ArgumentError, DeviceError, Error};
@@ -269,7 +269,7 @@ pub(crate) fn draw(view: &ShapeView<'_>, context: &Arc<Context>, progress: &Prog
     let pixel_count = width as usize * height as usize;
     let solid = tracer.solid;
     let mut encoder = Encoder::new(&solid.program);
-    let compiled = Compiled::of(tracer, &mut encoder.numbers);
+    let compiled = SpecialisedKernel::of(tracer, &mut encoder.numbers);
     let structures = compiled.structures;
     let written = written_kernel(context, &compiled)?;
     let (boxes, tokens) = encoded_boxes(tracer, &encoder, &compiled.entries);
@@ -352,7 +352,10 @@ fn interpreter(context: &Context, name: &'static str) -> Result<wgpu::ComputePip
 }
 
 /// The kernel specialised for a shape, if it is compiled.
-fn written_kernel(context: &Arc<Context>, compiled: &Compiled) -> Result<Option<wgpu::ComputePipeline>, DeviceError> {
+fn written_kernel(
+    context: &Arc<Context>,
+    compiled: &SpecialisedKernel,
+) -> Result<Option<wgpu::ComputePipeline>, DeviceError> {
     let refused = |reason| DeviceError::Shader { device: context.label(), kernel: "csg_draw".into(), reason };
     let texts: Vec<_> = compiled.texts.iter().map(|(name, text)| (*name, text.as_str())).collect();
     let source = source_with("csg_draw", &texts).map_err(refused)?;

@@ -12,14 +12,14 @@ use crate::simd::with_vectors;
 
 /// Tokens that decide a field, and the buffers of their search.
 #[derive(Debug, Default)]
-pub(crate) struct DecidingTokens<const N: usize> {
+pub(crate) struct ActiveTokens<const N: usize> {
     found: Vec<Token>,
     /// First token of each operand.
     starts: Vec<usize>,
     stack: Stack<f64, N>,
 }
 
-impl<const N: usize> DecidingTokens<N> {
+impl<const N: usize> ActiveTokens<N> {
     /// The tokens among `tokens` that decide the field at `N` points, local units. A difference that is minus its
     /// second operand becomes the complement of this operand.
     pub(crate) fn find(&mut self, program: &Program<f64>, tokens: &[Token], at: &[[f64; N]; 3]) -> &[Token] {
@@ -28,18 +28,13 @@ impl<const N: usize> DecidingTokens<N> {
     }
 }
 
-fn search<const N: usize>(
-    buffers: &mut DecidingTokens<N>,
-    program: &Program<f64>,
-    tokens: &[Token],
-    at: &[[f64; N]; 3],
-) {
+fn search<const N: usize>(buffers: &mut ActiveTokens<N>, program: &Program<f64>, tokens: &[Token], at: &[[f64; N]; 3]) {
     with_vectors!(
         [const N: usize]
-        (buffers: &mut DecidingTokens<N> = buffers, program: &Program<f64> = program, tokens: &[Token] = tokens,
+        (buffers: &mut ActiveTokens<N> = buffers, program: &Program<f64> = program, tokens: &[Token] = tokens,
          at: &[[f64; N]; 3] = at)
         {
-            let DecidingTokens { found, starts, stack } = buffers;
+            let ActiveTokens { found, starts, stack } = buffers;
             found.clear();
             starts.clear();
             stack.start(at);
@@ -149,7 +144,7 @@ mod tests {
                         let p = DVec3::new(random(), random(), random()) - 0.5;
                         let at: [[f64; 4]; 3] =
                             std::array::from_fn(|axis| std::array::from_fn(|i| p[axis] + 0.01 * (i * axis) as f64));
-                        let mut deciding = DecidingTokens::default();
+                        let mut deciding = ActiveTokens::default();
                         let found = deciding.find(program, tokens, &at);
                         let [all, some] =
                             [tokens, found].map(|list| run_wide(program, list, &at, &mut Stack::default()));

@@ -6,7 +6,7 @@
 //! in a crease, the gradient is therefore that of one side, never a mean of both. The value has the bits of the same
 //! evaluation in float64.
 
-use super::scalar::Real;
+use super::scalar::Scalar;
 use glam::DVec3;
 use std::cmp::Ordering;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
@@ -122,7 +122,7 @@ impl Neg for Dual {
     }
 }
 
-impl Real for Dual {
+impl Scalar for Dual {
     #[inline(always)]
     fn of(value: f64) -> Self {
         Self { value, slope: [0.0; 3] }

@@ -13,19 +13,19 @@
 //! method on it converges from below (J. More, D. Sorensen, "Computing a Trust Region Step", 1983). Counting `t` from
 //! `-min(r)^2` avoids cancellation.
 
-use super::scalar::{Real, length2, length3};
+use super::scalar::{Scalar, length2, length3};
 use crate::csg::tree::primitive::PARAMETERS;
 use crate::gpu::constants::csg_field::{ELLIPSOID_STEPS, ELLIPSOID_TINY};
 
 type Parameters<F> = [F; PARAMETERS];
 
 #[inline(always)]
-pub(crate) fn sphere<F: Real>(at: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn sphere<F: Scalar>(at: [F; 3], p: &Parameters<F>) -> F {
     length3(at) - p[0]
 }
 
 #[inline(always)]
-pub(crate) fn ellipsoid<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn ellipsoid<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let (one, tiny) = (F::of(1.0), F::of(ELLIPSOID_TINY));
     let [rx, ry, rz, dx, dy, dz] = *p;
     let [x, y, z] = [x.abs(), y.abs(), z.abs()];
@@ -53,7 +53,7 @@ pub(crate) fn ellipsoid<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
 
 /// A box with the given half sides.
 #[inline(always)]
-fn cuboid<F: Real>([x, y, z]: [F; 3], half: [F; 3]) -> F {
+fn cuboid<F: Scalar>([x, y, z]: [F; 3], half: [F; 3]) -> F {
     let zero = F::default();
     let q = [x.abs() - half[0], y.abs() - half[1], z.abs() - half[2]];
     let outside = length3([q[0].most(zero), q[1].most(zero), q[2].most(zero)]);
@@ -61,13 +61,13 @@ fn cuboid<F: Real>([x, y, z]: [F; 3], half: [F; 3]) -> F {
 }
 
 #[inline(always)]
-pub(crate) fn rounded_box<F: Real>(at: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn rounded_box<F: Scalar>(at: [F; 3], p: &Parameters<F>) -> F {
     cuboid(at, [p[0], p[1], p[2]]) - p[3]
 }
 
 /// Distance to the nearest of three bars, one along each axis; all others follow by symmetry.
 #[inline(always)]
-pub(crate) fn box_frame<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn box_frame<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let bar = p[3];
     let [hx, hy, hz] = [p[0], p[1], p[2]];
     // Coordinates relative to the middle of a bar, along the two axes across it.
@@ -79,12 +79,12 @@ pub(crate) fn box_frame<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
 }
 
 #[inline(always)]
-pub(crate) fn torus<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn torus<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     length2(length2(x, y) - p[0], z) - p[1]
 }
 
 #[inline(always)]
-pub(crate) fn capped_torus<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn capped_torus<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let [radius, tube, cos, sin] = [p[0], p[1], p[2], p[3]];
     let y = y.abs();
     let to_ring = length2(length2(x, y) - radius, z);
@@ -95,31 +95,31 @@ pub(crate) fn capped_torus<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
 
 /// Distance to a prism: a 2D distance extruded along z.
 #[inline(always)]
-fn prism<F: Real>(flat: F, z: F, half_height: F) -> F {
+fn prism<F: Scalar>(flat: F, z: F, half_height: F) -> F {
     let zero = F::default();
     let above = z.abs() - half_height;
     flat.most(above).least(zero) + length2(flat.most(zero), above.most(zero))
 }
 
 #[inline(always)]
-pub(crate) fn cylinder<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn cylinder<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     prism(length2(x, y) - p[0], z, p[1])
 }
 
 /// The points within `p[2]` of a smaller cylinder.
 #[inline(always)]
-pub(crate) fn rounded_cylinder<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn rounded_cylinder<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     prism(length2(x, y) - p[0], z, p[1]) - p[2]
 }
 
 #[inline(always)]
-pub(crate) fn capsule<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn capsule<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     length3([x, y, z - z.between(-p[1], p[1])]) - p[0]
 }
 
 /// The smaller of the distances to the cap and to the side of a truncated cone.
 #[inline(always)]
-pub(crate) fn cone<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn cone<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let zero = F::default();
     let [low, high, half_height, inverse_slant_squared] = [p[0], p[1], p[2], p[3]];
     let r = length2(x, y);
@@ -138,7 +138,7 @@ pub(crate) fn cone<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
 /// The nearest of the lower ball, the upper ball and the side. The normals of the side through the two centres separate
 /// these regions, so the distance is exact inside too.
 #[inline(always)]
-pub(crate) fn rounded_cone<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn rounded_cone<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let [low, high, base, height, cos, sin] = *p;
     let (r, z) = (length2(x, y), z - base);
     let along = z * cos - r * sin;
@@ -152,18 +152,18 @@ pub(crate) fn rounded_cone<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
 }
 
 #[inline(always)]
-pub(crate) fn plane<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn plane<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     x * p[0] + y * p[1] + z * p[2] - p[3]
 }
 
 #[inline(always)]
-pub(crate) fn slab<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn slab<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     (x * p[0] + y * p[1] + z * p[2]).abs() - p[3]
 }
 
 /// By symmetry the point has x >= y >= 0, and the nearest side is the one that faces +x.
 #[inline(always)]
-pub(crate) fn pyramid<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn pyramid<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let zero = F::default();
     let [half, half_height, slant, sin, cos] = [p[0], p[1], p[2], p[3], p[4]];
     let (x, y) = (x.abs().most(y.abs()), x.abs().least(y.abs()));
@@ -191,7 +191,7 @@ pub(crate) fn pyramid<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
 }
 
 #[inline(always)]
-pub(crate) fn octahedron<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn octahedron<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let zero = F::default();
     let three = F::of(3.0);
     let radius = p[0];
@@ -212,7 +212,7 @@ pub(crate) fn octahedron<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
 }
 
 #[inline(always)]
-pub(crate) fn hex_prism<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn hex_prism<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let zero = F::default();
     let apothem = p[0];
     // Mirrors the sides onto the one that faces +y.
@@ -228,27 +228,27 @@ pub(crate) fn hex_prism<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
 }
 
 #[inline(always)]
-pub(crate) fn gyroid<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn gyroid<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let [x, y, z] = [x * p[0], y * p[0], z * p[0]];
     let value = x.sin() * y.cos() + y.sin() * z.cos() + z.sin() * x.cos();
     value.abs() * p[1] - p[2]
 }
 
 #[inline(always)]
-pub(crate) fn schwarz_p<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn schwarz_p<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let value = (x * p[0]).cos() + (y * p[0]).cos() + (z * p[0]).cos();
     value.abs() * p[1] - p[2]
 }
 
 #[inline(always)]
-pub(crate) fn diamond<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn diamond<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let [x, y, z] = [x * p[0], y * p[0], z * p[0]];
     let value = x.sin() * (y - z).cos() + x.cos() * (y + z).sin();
     value.abs() * p[1] - p[2]
 }
 
 #[inline(always)]
-pub(crate) fn iwp<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
+pub(crate) fn iwp<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let [x, y, z] = [(x * p[0]).cos(), (y * p[0]).cos(), (z * p[0]).cos()];
     // cos 2x = 2 cos^2 x - 1.
     let value = x * y + y * z + z * x - x * x - y * y - z * z + F::of(1.5);
@@ -256,19 +256,19 @@ pub(crate) fn iwp<F: Real>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
 }
 
 #[inline(always)]
-pub(crate) fn circle<F: Real>(x: F, y: F, radius: F) -> F {
+pub(crate) fn circle<F: Scalar>(x: F, y: F, radius: F) -> F {
     length2(x, y) - radius
 }
 
 #[inline(always)]
-pub(crate) fn rectangle<F: Real>(x: F, y: F, half: [F; 2]) -> F {
+pub(crate) fn rectangle<F: Scalar>(x: F, y: F, half: [F; 2]) -> F {
     let zero = F::default();
     let q = [x.abs() - half[0], y.abs() - half[1]];
     length2(q[0].most(zero), q[1].most(zero)) + q[0].most(q[1]).least(zero)
 }
 
 /// Distance to the nearest edge, with the sign from the parity of the edges to the right.
-pub(crate) fn polygon<F: Real>(x: F, y: F, corners: &[[F; 2]]) -> F {
+pub(crate) fn polygon<F: Scalar>(x: F, y: F, corners: &[[F; 2]]) -> F {
     let zero = F::default();
     let mut nearest = F::of(f64::from(f32::MAX));
     let mut is_inside = false;
@@ -294,6 +294,6 @@ pub(crate) fn polygon<F: Real>(x: F, y: F, corners: &[[F; 2]]) -> F {
 }
 
 #[inline(always)]
-pub(crate) fn extrude<F: Real>(flat: F, z: F, half_height: F) -> F {
+pub(crate) fn extrude<F: Scalar>(flat: F, z: F, half_height: F) -> F {
     prism(flat, z, half_height)
 }

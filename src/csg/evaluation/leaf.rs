@@ -9,7 +9,7 @@
 
 use super::field;
 use super::placed_volume::PlacedVolume;
-use super::scalar::{Real, length2};
+use super::scalar::{Scalar, length2};
 use crate::csg::tree::primitive::{PARAMETERS, Primitive, primitives};
 use crate::csg::tree::profile::Profile;
 use crate::csg::tree::volume_leaf::VolumeLeaf;
@@ -88,7 +88,7 @@ macro_rules! declare {
             LeafKind::new("volume", "volume(at, first)"),
         ];
 
-        impl<F: Real> LeafField<F> {
+        impl<F: Scalar> LeafField<F> {
             /// The field of a primitive whose lengths are multiplied by `scale`.
             pub fn new(primitive: &Primitive, scale: f64) -> Self {
                 match primitive {
@@ -117,7 +117,7 @@ macro_rules! declare {
             }
         }
 
-        impl<F: Real> PlacedLeaf<F> {
+        impl<F: Scalar> PlacedLeaf<F> {
             /// The field at `N` points, local units.
             #[inline(always)]
             pub fn distances<const N: usize>(&self, at: &[[F; N]; 3]) -> [F; N] {
@@ -239,7 +239,7 @@ pub enum Flat<F> {
     Polygon(Vec<[F; 2]>),
 }
 
-impl<F: Real> Flat<F> {
+impl<F: Scalar> Flat<F> {
     fn new(profile: &Profile, scale: f64) -> Self {
         match profile {
             Profile::Circle { radius } => Self::Circle(F::of(scale * radius)),

@@ -1,6 +1,6 @@
 //! The field of a baked volume at a point in local units ([`crate::csg::tree::volume_leaf`]).
 
-use super::scalar::Real;
+use super::scalar::Scalar;
 use crate::csg::tree::volume_leaf::VolumeLeaf;
 use glam::DVec3;
 
@@ -15,7 +15,7 @@ pub struct PlacedVolume<F> {
     pub scale: F,
 }
 
-impl<F: Real> PlacedVolume<F> {
+impl<F: Scalar> PlacedVolume<F> {
     pub fn new(volume: &VolumeLeaf, scale: f64) -> Self {
         let grid = volume.grid();
         let units = |v: DVec3| v.to_array().map(F::of);

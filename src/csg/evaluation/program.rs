@@ -6,7 +6,7 @@
 //! twin in WGSL is `shaders/shared/csg/csg_field.wgsl`.
 
 use super::leaf::{LeafField, PlacedLeaf};
-use super::scalar::{Real, length2};
+use super::scalar::{Scalar, length2};
 use crate::csg::model::lowered::{Coat, DistanceOp, MaskDistance, Model};
 use crate::csg::model::token::Token;
 use crate::csg::tree::placement::WarpKind;
@@ -109,13 +109,13 @@ pub struct Stack<F, const N: usize> {
     positions: Vec<[[F; N]; 3]>,
 }
 
-impl<F: Real, const N: usize> Default for Stack<F, N> {
+impl<F: Scalar, const N: usize> Default for Stack<F, N> {
     fn default() -> Self {
         Self { values: Vec::with_capacity(16), positions: Vec::new() }
     }
 }
 
-impl<F: Real, const N: usize> Stack<F, N> {
+impl<F: Scalar, const N: usize> Stack<F, N> {
     /// Begins an evaluation at `N` points, local units.
     #[inline(always)]
     pub(crate) fn start(&mut self, at: &[[F; N]; 3]) {
@@ -131,7 +131,7 @@ impl<F: Real, const N: usize> Stack<F, N> {
     }
 }
 
-impl<F: Real> Program<F> {
+impl<F: Scalar> Program<F> {
     pub fn new(model: &Model, frame: LocalFrame) -> Self {
         let s = frame.scale;
         let unit = |x: f64| F::of(x / s);
@@ -289,7 +289,7 @@ impl<F: Real> Program<F> {
     }
 }
 
-impl<F: Real> PlacedCombine<F> {
+impl<F: Scalar> PlacedCombine<F> {
     #[inline(always)]
     fn apply<const N: usize>(&self, a: &[F; N], b: &[F; N]) -> [F; N] {
         let mut out = [F::default(); N];
@@ -341,7 +341,7 @@ impl<F: Real> PlacedCombine<F> {
     }
 }
 
-impl<F: Real> Joint<F> {
+impl<F: Scalar> Joint<F> {
     /// The smooth minimum is the quadratic one (I. Quilez, "Smooth minimum"): never above the sharp minimum, below it
     /// by at most `k / 4`, and its gradient is a weighted mean of the gradients.
     #[inline(always)]
@@ -357,7 +357,7 @@ impl<F: Real> Joint<F> {
     }
 }
 
-impl<F: Real> PlacedWarp<F> {
+impl<F: Scalar> PlacedWarp<F> {
     #[inline(always)]
     fn placed(&self, [x, y, z]: [F; 3]) -> [F; 3] {
         [0, 1, 2].map(|i| {
@@ -421,14 +421,14 @@ impl<F: Real> PlacedWarp<F> {
 
 /// A coordinate in the space of the selected copy.
 #[inline(always)]
-fn nearest_copy<F: Real>(x: F, [spacing, inverse, start, last, step]: &[F; 5]) -> F {
+fn nearest_copy<F: Scalar>(x: F, [spacing, inverse, start, last, step]: &[F; 5]) -> F {
     let lower = (x * *inverse + *start).floor().between(F::default(), *last);
     x - *spacing * (lower + *step)
 }
 
 /// Rotates about z.
 #[inline(always)]
-fn turned<F: Real>(x: F, y: F, z: F, angle: F) -> [F; 3] {
+fn turned<F: Scalar>(x: F, y: F, z: F, angle: F) -> [F; 3] {
     let (sin, cos) = (angle.sin(), angle.cos());
     [cos * x - sin * y, sin * x + cos * y, z]
 }

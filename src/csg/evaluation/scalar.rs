@@ -4,7 +4,7 @@ use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
 
 /// A floating-point number.
-pub trait Real:
+pub trait Scalar:
     Copy
     + Debug
     + Default
@@ -44,7 +44,7 @@ pub trait Real:
 
 macro_rules! real {
     ($float:ty) => {
-        impl Real for $float {
+        impl Scalar for $float {
             #[inline(always)]
             fn of(value: f64) -> Self {
                 value as $float
@@ -81,12 +81,12 @@ real!(f64);
 
 /// Length of a vector in the plane.
 #[inline(always)]
-pub(crate) fn length2<F: Real>(x: F, y: F) -> F {
+pub(crate) fn length2<F: Scalar>(x: F, y: F) -> F {
     (x * x + y * y).sqrt()
 }
 
 /// Length of a vector in space.
 #[inline(always)]
-pub(crate) fn length3<F: Real>([x, y, z]: [F; 3]) -> F {
+pub(crate) fn length3<F: Scalar>([x, y, z]: [F; 3]) -> F {
     (x * x + y * y + z * z).sqrt()
 }

@@ -6,7 +6,7 @@
 use super::cells::{PartCells, SharedTables};
 use super::part::Part;
 use crate::csg::evaluation::program::{LocalFrame, Program, Stack};
-use crate::csg::evaluation::scalar::Real;
+use crate::csg::evaluation::scalar::Scalar;
 use crate::csg::model::lowered::Model;
 use crate::csg::model::token::Token;
 use crate::csg::tree::shape::Shape;
@@ -215,7 +215,7 @@ fn saturated(value: f64) -> f32 {
 }
 
 /// Gradient by central differences, six points at once.
-pub(crate) fn slope<F: Real>(
+pub(crate) fn slope<F: Scalar>(
     program: &Program<F>,
     tokens: &[Token],
     p: DVec3,
@@ -234,14 +234,14 @@ pub(crate) fn slope<F: Real>(
 }
 
 /// [`Program::run`] with the vector instructions of this machine.
-pub(crate) fn run_wide<F: Real, const N: usize>(
+pub(crate) fn run_wide<F: Scalar, const N: usize>(
     program: &Program<F>,
     tokens: &[Token],
     at: &[[F; N]; 3],
     stack: &mut Stack<F, N>,
 ) -> [F; N] {
     with_vectors!(
-        [F: Real, const N: usize]
+        [F: Scalar, const N: usize]
         (program: &Program<F> = program, tokens: &[Token] = tokens, at: &[[F; N]; 3] = at,
          stack: &mut Stack<F, N> = stack)
         -> [F; N] { program.run(tokens, at, stack) }

@@ -44,7 +44,7 @@ pub(crate) struct Entry {
 
 /// A kernel specialised for one shape.
 #[derive(Debug)]
-pub(crate) struct Compiled {
+pub(crate) struct SpecialisedKernel {
     /// Overrides of imported shader files, by name.
     pub texts: [(&'static str, String); 4],
     /// Number of structures with a function.
@@ -53,7 +53,7 @@ pub(crate) struct Compiled {
     pub entries: Vec<Entry>,
 }
 
-impl Compiled {
+impl SpecialisedKernel {
     /// Generates the kernel of a shape and appends the parameters that its functions read to `numbers`.
     pub(crate) fn of(tracer: &Tracer<'_>, numbers: &mut Vec<f32>) -> Self {
         let structures = chosen(tracer);

@@ -19,14 +19,14 @@ const MAX_NUMBERS: usize = 4096;
 
 /// The field of a shape at `p0`, local units. Its parameters start at index `n` of an array.
 #[derive(Debug)]
-pub(crate) struct Whole {
+pub(crate) struct StructureText {
     pub body: String,
     pub numbers: Vec<f32>,
     /// The body of the function of its paint, whose numbers follow the others; it returns linear RGB.
     pub color: Option<String>,
 }
 
-impl Whole {
+impl StructureText {
     /// None for a shape that is too large for a function, or that contains a baked volume.
     pub(crate) fn of(solid: &Solid, array: &str, turns: &str) -> Option<Self> {
         let is_volume = |token: &Token| match token {

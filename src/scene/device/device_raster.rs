@@ -21,7 +21,7 @@ use crate::scene::content::material::Material;
 use crate::scene::content::model::Scene;
 use crate::scene::content::options::{Primary, RenderOptions};
 use crate::scene::visibility::gbuffer::{DeviceSeen, GBuffer, Layer, View};
-use crate::scene::visibility::pixel_ray::{Eye, as_triangles, draw_row, is_opaque};
+use crate::scene::visibility::pixel_ray::{PixelRay, as_triangles, draw_row, is_opaque};
 use glam::{DAffine3, DMat3, DVec3};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -74,8 +74,8 @@ pub(crate) fn draw(
             .par_chunks_exact(width as usize)
             .enumerate()
             .map(|(i, pixels)| {
-                let row = draw_row(scene, options, &view, first + i as u32, |eye, layers| {
-                    resolve(eye, pixels[eye.x as usize], left_over.as_deref(), layers);
+                let row = draw_row(scene, options, &view, first + i as u32, |ray, layers| {
+                    resolve(ray, pixels[ray.x as usize], left_over.as_deref(), layers);
                 });
                 progress.advance(1)?;
                 Ok(row)
@@ -96,35 +96,35 @@ const RAN_OUT: u32 = 2;
 const IS_TRIANGLE: u32 = u32::MAX;
 
 /// The layers of a pixel, from the values that the device returned.
-fn resolve<'a>(eye: &mut Eye<'a>, seen: [u32; 4], left_over: Option<&'a [bool]>, layers: &mut Vec<Layer>) {
+fn resolve<'a>(ray: &mut PixelRay<'a>, seen: [u32; 4], left_over: Option<&'a [bool]>, layers: &mut Vec<Layer>) {
     let [item, word, depth, steps] = seen;
     let behind = match item.checked_sub(1) {
         None => None,
         Some(item) => {
-            let layer = if eye.is_triangles(item) {
-                eye.face(item, word).map(|layer| Layer { is_from_device: true, ..layer })
+            let layer = if ray.is_triangles(item) {
+                ray.face(item, word).map(|layer| Layer { is_from_device: true, ..layer })
             } else if word & RAN_OUT != 0 {
                 None
-            } else if eye.is_met_again(item) {
+            } else if ray.is_met_again(item) {
                 if word & AT_START != 0 {
-                    return eye.look(layers, None);
+                    return ray.trace(layers, None);
                 }
-                eye.field_near(item, f64::from(f32::from_bits(depth)))
+                ray.field_near(item, f64::from(f32::from_bits(depth)))
             } else {
-                eye.field_at(item, f64::from(f32::from_bits(depth)), word & AT_START != 0)
+                ray.field_at(item, f64::from(f32::from_bits(depth)), word & AT_START != 0)
             };
             if layer.is_none() {
-                return eye.look(layers, None);
+                return ray.trace(layers, None);
             }
             layer
         }
     };
-    eye.steps += if steps == IS_TRIANGLE { 1 } else { steps.max(1) };
+    ray.steps += if steps == IS_TRIANGLE { 1 } else { steps.max(1) };
     if left_over.is_some() {
-        eye.left_over = left_over;
+        ray.left_over = left_over;
         // The device drew opaque surfaces.
-        eye.skips_opaque = true;
-        eye.look(layers, behind);
+        ray.skips_opaque = true;
+        ray.trace(layers, behind);
     } else {
         layers.extend(behind);
     }

@@ -4,7 +4,7 @@
 use super::shader_variants::{ARRAY, FieldKind, GeometryKinds, MAX_STRUCTURES, TURNS};
 use crate::csg::model::lowered::Model;
 use crate::csg::parts::solid::Solid;
-use crate::csg::text::structure_text::Whole;
+use crate::csg::text::structure_text::StructureText;
 use crate::error::DeviceError;
 use crate::gpu::Context;
 use crate::gpu::layout::SceneField;
@@ -52,7 +52,9 @@ impl<'a> DeviceFields<'a> {
     /// Appends the record and the parameters of a shape. Returns false for a shape that has no function, or beyond the
     /// largest number of functions.
     pub fn add_shape(&mut self, solid: &Solid) -> Result<bool, DeviceError> {
-        let Some(Whole { body, numbers, .. }) = Whole::of(solid, ARRAY, TURNS) else { return Ok(false) };
+        let Some(StructureText { body, numbers, .. }) = StructureText::of(solid, ARRAY, TURNS) else {
+            return Ok(false);
+        };
         let structures = &mut self.kinds.structures;
         let known = structures.iter().position(|known| *known == body);
         if known.is_none() && structures.len() == MAX_STRUCTURES {

@@ -39,7 +39,7 @@ pub struct FieldHit {
 
 /// Appearance of a surface at a hit.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SurfaceLook {
+pub struct SurfaceAppearance {
     /// Unit normal in the object's own axes: outwards, or against the ray if there is no inside; zero if it is
     /// undefined.
     pub normal: Vec3,
@@ -76,8 +76,8 @@ pub trait Field: Send + Sync {
     fn gradient(&self, p: Vec3) -> Vec3;
 
     /// Appearance at the point `p`, which a ray of this direction hit.
-    fn look(&self, p: Vec3, _hit: &FieldHit, _direction: Vec3) -> SurfaceLook {
-        SurfaceLook { normal: self.gradient(p), color: None }
+    fn appearance(&self, p: Vec3, _hit: &FieldHit, _direction: Vec3) -> SurfaceAppearance {
+        SurfaceAppearance { normal: self.gradient(p), color: None }
     }
 
     /// Fraction of the light that one crossing blocks, besides the instance's opacity.

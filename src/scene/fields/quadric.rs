@@ -12,7 +12,7 @@
 //! sphere as `sqrt(a^2 + s^2)`.
 
 use super::device_fields::DeviceFields;
-use super::field::{Field, FieldHit, FieldRay, SurfaceLook};
+use super::field::{Field, FieldHit, FieldRay, SurfaceAppearance};
 use crate::error::DeviceError;
 use crate::quadric::Quadric;
 use crate::quadric::local::{Local, LocalRay};
@@ -84,9 +84,9 @@ impl Field for QuadricField {
         (side * slope).normalize_or_zero().as_vec3()
     }
 
-    fn look(&self, p: Vec3, _: &FieldHit, direction: Vec3) -> SurfaceLook {
+    fn appearance(&self, p: Vec3, _: &FieldHit, direction: Vec3) -> SurfaceAppearance {
         let normal = self.local.normal(p.as_dvec3(), direction.as_dvec3());
-        SurfaceLook { normal: normal.as_vec3(), color: None }
+        SurfaceAppearance { normal: normal.as_vec3(), color: None }
     }
 
     fn opacity(&self) -> f32 {

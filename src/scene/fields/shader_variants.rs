@@ -4,7 +4,7 @@
 //! at each evaluation of a field. A scene of dense grids uses the kernels as they are. Other scenes override some of
 //! the imported files. Shapes have one function per structure.
 
-use crate::csg::text::structure_text::Whole;
+use crate::csg::text::structure_text::StructureText;
 use crate::gpu::shader::{Instead, shared};
 use std::borrow::Cow;
 use std::fmt::Write;
@@ -71,7 +71,7 @@ fn structures_text(bodies: &[String]) -> String {
     let mut text = "// A function for each structure of the shapes of a scene. Their numbers begin at `n`, in the order of the text.\n\n\
          #import scene_field\n#import csg_field\n"
         .to_owned();
-    text.push_str(&Whole::helpers(ARRAY));
+    text.push_str(&StructureText::helpers(ARRAY));
     let mut cases = String::new();
     for (i, body) in bodies.iter().enumerate() {
         let _ = write!(text, "\nfn structure_{i}(p0: vec3f, n: u32) -> f32 {{\n{body}}}\n");
@@ -101,7 +101,7 @@ mod tests {
     #[test]
     fn every_text_is_valid() {
         let shape: Shape = language::parse("(difference (box 1 1 1) (sphere 0.6))").unwrap();
-        let body = Whole::of(&Solid::new(&shape).unwrap(), ARRAY, TURNS).unwrap().body;
+        let body = StructureText::of(&Solid::new(&shape).unwrap(), ARRAY, TURNS).unwrap().body;
         for i in 0..8u8 {
             let has = |bit: u8| i >> bit & 1 == 1;
             let structures = if has(2) { vec![body.clone()] } else { Vec::new() };

@@ -15,7 +15,7 @@
 //! cones are tested by thin rays.
 
 use super::device_fields::DeviceFields;
-use super::field::{Field, FieldHit, FieldRay, SurfaceLook};
+use super::field::{Field, FieldHit, FieldRay, SurfaceAppearance};
 use crate::csg::device::draw::{DrawMethod, tracer};
 use crate::csg::evaluation::program::Stack;
 use crate::csg::model::lowered::Model;
@@ -175,11 +175,11 @@ impl Field for ShapeField {
         self.slope((p / UNITS).as_dvec3()).normalize_or_zero().as_vec3()
     }
 
-    fn look(&self, p: Vec3, hit: &FieldHit, direction: Vec3) -> SurfaceLook {
+    fn appearance(&self, p: Vec3, hit: &FieldHit, direction: Vec3) -> SurfaceAppearance {
         let p = p / UNITS;
         let tracer = self.tracer();
         let normal = SCRATCH.with_borrow_mut(|scratch| tracer.normal(p, direction, hit.part, &mut scratch.slope));
-        SurfaceLook { normal: normal.unwrap_or_default(), color: tracer.color(p, hit.part) }
+        SurfaceAppearance { normal: normal.unwrap_or_default(), color: tracer.color(p, hit.part) }
     }
 
     fn is_loose(&self) -> bool {

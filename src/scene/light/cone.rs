@@ -4,7 +4,7 @@
 //! [`super::shadow`] explains their use.
 
 use super::near_instances::Beside;
-use super::ray_bundle::ThinRays;
+use super::ray_bundle::RayBundle;
 use crate::gpu::constants::scene_beams::{
     EDGE_COSINE, EDGE_DIRECTIONS, FULL_CLEARANCE, MAX_CONE_STEPS, PAST_EDGE, WIDE_STEP,
 };
@@ -78,7 +78,7 @@ pub struct ConeSum {
     /// The nearest edge of the opaque instances.
     pub opaque: Cone,
     /// Fractions of the thin rays, for instances that are tested by rays.
-    pub thin: ThinRays,
+    pub thin: RayBundle,
 }
 
 /// A wide cone of occlusion and what is known about the instance that it passes ([`ConeWalk::beside_wide`]).
@@ -124,7 +124,7 @@ impl BallAhead {
 const BALL_ROUNDING: f32 = 1e-3;
 
 impl ConeSum {
-    pub const NEW: Self = Self { translucent: 1.0, is_proven: true, opaque: Cone::FREE, thin: ThinRays::NEW };
+    pub const NEW: Self = Self { translucent: 1.0, is_proven: true, opaque: Cone::FREE, thin: RayBundle::NEW };
 
     /// Distance from the axis, in radii, within which another instance can change the result.
     pub fn x_known(&self, instance: &Instance) -> f32 {

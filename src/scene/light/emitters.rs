@@ -10,7 +10,7 @@ use crate::scene::content::instance::Instance;
 use crate::scene::content::material::Material;
 use crate::scene::content::model::Scene;
 use crate::scene::content::triangles::Triangles;
-use crate::scene::visibility::appearance::FaceLook;
+use crate::scene::visibility::appearance::FaceAppearance;
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
 use std::f64::consts::PI;
@@ -145,7 +145,7 @@ impl Emitters {
         let placed = PlacedFace::new(triangles, emitter.face, scene_from_tree);
         // The normal of the side that emits.
         let normal = scene_from_tree.matrix3.determinant().signum() * placed.cross.normalize();
-        let face = FaceLook::new(scene, instance, triangles, emitter.face, weights);
+        let face = FaceAppearance::new(scene, instance, triangles, emitter.face, weights);
         let way = placed.corner + weights[1] * placed.edges[0] + weights[2] * placed.edges[1] - place.p;
         let t = way.length();
         let ray = LightRay { direction: way / t, t_max: t };

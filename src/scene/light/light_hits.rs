@@ -13,7 +13,7 @@ use crate::scene::content::instance::Instance;
 use crate::scene::content::model::Scene;
 use crate::scene::content::tree::Line;
 use crate::scene::fields::field::FieldHit;
-use crate::scene::visibility::appearance::{FaceLook, field_color, field_emission};
+use crate::scene::visibility::appearance::{FaceAppearance, field_color, field_emission};
 use glam::Vec3;
 
 /// Smallest fraction of the light that a surface on a ray blocks. Rays pass more translucent surfaces.
@@ -74,7 +74,7 @@ impl Scene {
         let instance = &self.instances[item as usize];
         let field = instance.field.as_deref()?;
         let (origin, direction) = ray_in_field(instance, item == place.own, place, ray);
-        let look = field.look((origin + ray.t_max * direction).as_vec3(), hit, direction.as_vec3());
+        let look = field.appearance((origin + ray.t_max * direction).as_vec3(), hit, direction.as_vec3());
         let against = -ray.direction.as_vec3();
         let normal =
             if hit.at_start { against } else { (instance.scene_from_normal * look.normal).normalize_or(against) };
@@ -82,7 +82,7 @@ impl Scene {
         let (material, color, emission) = match &instance.triangles {
             Some(triangles) => {
                 let nearest = triangles.mesh.closest_point(instance.tree_from_scene.transform_point3(p));
-                let face = FaceLook::new(self, instance, triangles, nearest.face, nearest.on_triangle.weights);
+                let face = FaceAppearance::new(self, instance, triangles, nearest.face, nearest.on_triangle.weights);
                 let footprint = || footprint(instance, ray);
                 (face.material_index(), face.color(footprint).truncate(), face.emission(footprint))
             }
@@ -98,7 +98,7 @@ impl Scene {
     /// A hit of the face of a sheet. `ray` ends there.
     fn sheet_hit(&self, item: u32, place: &SurfacePoint, ray: &LightRay, hit: &FaceHit) -> Option<LightHit> {
         let instance = &self.instances[item as usize];
-        let face = FaceLook::new(self, instance, instance.triangles.as_deref()?, hit.face, hit.weights);
+        let face = FaceAppearance::new(self, instance, instance.triangles.as_deref()?, hit.face, hit.weights);
         let footprint = || footprint(instance, ray);
         let emits = hit.is_front || face.material().two_sided;
         let emission = if emits { face.emission(footprint) } else { Vec3::ZERO };

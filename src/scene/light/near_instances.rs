@@ -7,7 +7,7 @@ const ROUNDING: f32 = 1e-5;
 
 /// The instances that a search found, with the centres and radii of their balls.
 #[derive(Debug, Default)]
-pub struct Nearby {
+pub struct NearInstances {
     pub items: Vec<u32>,
     x: Vec<f32>,
     y: Vec<f32>,
@@ -15,7 +15,7 @@ pub struct Nearby {
     radius: Vec<f32>,
 }
 
-impl Nearby {
+impl NearInstances {
     pub fn clear(&mut self) {
         self.items.clear();
         let Self { x, y, z, radius, .. } = self;
@@ -51,14 +51,14 @@ impl Nearby {
 pub struct ConeOccluder {
     /// Lower bound of the distance, in radii, between the axis and the surface; at most 0 if there is no bound.
     pub x: f32,
-    /// Index of the instance in [`Nearby::items`].
+    /// Index of the instance in [`NearInstances::items`].
     pub index: u32,
 }
 
 /// The instances beside the axis of a wide cone.
 #[derive(Debug, Clone, Copy)]
 pub struct Beside<'a> {
-    pub nearby: &'a Nearby,
+    pub nearby: &'a NearInstances,
     /// All instances that come within one radius of the axis.
     pub met: &'a [ConeOccluder],
     /// Radius of the cone per distance.

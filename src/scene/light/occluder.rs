@@ -10,7 +10,7 @@ use glam::DVec3;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 /// One occluder on an interval of a ray: an instance or a level of the far field.
-pub struct Caster<'a> {
+pub struct Occluder<'a> {
     pub instance: &'a Instance,
     pub field: &'a dyn Field,
     /// Its box, scene space.
@@ -24,7 +24,7 @@ pub struct Caster<'a> {
     pub skip: f64,
 }
 
-impl<'a> Caster<'a> {
+impl<'a> Occluder<'a> {
     /// The first hit of a ray in field space, at `from` or later. All positions are in scene units.
     pub fn hit_in_field(
         &self,
@@ -52,7 +52,7 @@ impl<'a> Caster<'a> {
         LightCone { place, ray, slope }: LightCone<'_>,
         x_known: f32,
     ) -> Option<ConeWalk<'a>> {
-        let Caster { instance, field, bounds, .. } = *self;
+        let Occluder { instance, field, bounds, .. } = *self;
         let (origin, direction) = ray_in_field(instance, self.is_own, place, ray);
         let [lower, upper] = field.surface_bounds();
         // The box is enlarged by the radius of the cone at its far side; see `Line::cone`.
@@ -67,7 +67,7 @@ impl<'a> Caster<'a> {
 
     /// Whether a cone may touch the occluder, by the ball around its surface.
     pub fn may_meet(&self, place: &SurfacePoint, ray: &LightRay, slope: f32) -> bool {
-        let Caster { instance, field, .. } = *self;
+        let Occluder { instance, field, .. } = *self;
         let (origin, direction) = ray_in_field(instance, self.is_own, place, ray);
         let [lower, upper] = field.surface_bounds();
         // Under non-uniform scale a cone is widest where the scene is stretched least.

@@ -23,7 +23,7 @@
 
 use super::cone::{BallAhead, ConeSum, WideCone, clearance};
 use super::light_rays::{LightCone, LightRay, LightWork, SurfacePoint, basis};
-use super::near_instances::{Beside, ConeOccluder, Nearby};
+use super::near_instances::{Beside, ConeOccluder, NearInstances};
 use super::occluder::bias;
 use super::shadow::Casters;
 use crate::scene::content::model::Scene;
@@ -67,7 +67,7 @@ pub struct Occluders {
     /// Centre and radius of the last search.
     around: Option<(Vec3, f32)>,
     /// The instances that it found.
-    nearby: Nearby,
+    nearby: NearInstances,
     /// Whether some instances of `nearby` are not opaque solids.
     is_mixed: bool,
     /// Vector from the place to the centre of the ball of each nearby instance.

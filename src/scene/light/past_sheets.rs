@@ -30,7 +30,7 @@ use crate::scene::content::model::Scene;
 use crate::scene::content::options::{RenderOptions, SceneShadows};
 use crate::scene::content::sheets::Sheets;
 use crate::scene::content::tree::Line;
-use crate::scene::visibility::appearance::FaceLook;
+use crate::scene::visibility::appearance::FaceAppearance;
 use glam::{DVec3, Vec2};
 
 /// Number of rays of a cone. A light's disc has [`PARTS`] cones, so 64 rays.
@@ -201,7 +201,8 @@ impl Scene {
             let Some(triangles) = instance.triangles.as_deref() else { continue };
             let t_max = nearest.map_or(ray.t_max, |(_, hit)| hit.t);
             let hit = triangles.mesh.first_hit(&ray_in_tree(instance, start, ray, t_max), |hit| {
-                instance.opacity * FaceLook::new(self, instance, triangles, hit.face, hit.weights).opacity(hit.is_front)
+                instance.opacity
+                    * FaceAppearance::new(self, instance, triangles, hit.face, hit.weights).opacity(hit.is_front)
                     >= LEAST_OPACITY
             });
             nearest = hit.map(|hit| (item, hit)).or(nearest);
@@ -230,7 +231,7 @@ impl Scene {
         let mut crossings = 0;
         triangles.mesh.first_hit(&in_tree, |hit| {
             let opacity = instance.opacity
-                * FaceLook::new(self, instance, triangles, hit.face, hit.weights).opacity(hit.is_front);
+                * FaceAppearance::new(self, instance, triangles, hit.face, hit.weights).opacity(hit.is_front);
             let is_same = |depth: &f64| (hit.t - depth).abs() <= SAME_DEPTH * (1.0 + hit.t);
             if opacity > 0.0 && !depths[..crossings].iter().any(is_same) {
                 share *= 1.0 - opacity;

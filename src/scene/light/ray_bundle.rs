@@ -16,13 +16,13 @@ pub(crate) const THIN_RAYS: usize = 8;
 
 /// Transmitted fractions of the rays of a cone.
 #[derive(Debug, Clone, Copy)]
-pub struct ThinRays {
+pub struct RayBundle {
     shares: [f32; THIN_RAYS],
     /// Whether an object was near enough to be tested.
     pub is_tested: bool,
 }
 
-impl ThinRays {
+impl RayBundle {
     pub const NEW: Self = Self { shares: [1.0; THIN_RAYS], is_tested: false };
 
     /// Multiplies the rays that hit an object of an opacity by its transmitted fraction.

@@ -37,7 +37,7 @@
 use super::cone::{Cone, ConeShare, ConeSum, ConeWalk, Decision, RayPast, WideCone};
 use super::far_field::{Far, FarLevel, Split};
 use super::light_rays::{LightCone, LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
-use super::occluder::{Caster, NearList, ray_in_field};
+use super::occluder::{NearList, Occluder, ray_in_field};
 use crate::gpu::constants::scene_beams::END_FADE;
 use crate::scene::content::model::Scene;
 use crate::scene::content::tree::Line;
@@ -148,7 +148,7 @@ impl<'a> Casters<'a> {
     /// occluder. For an occluder that is tested by thin rays, returns only whether the cone may touch it.
     pub fn add_cone(
         &self,
-        caster: &Caster<'_>,
+        caster: &Occluder<'_>,
         cone: LightCone<'_>,
         x_known: f32,
         wide: Option<&WideCone<'_>>,
@@ -169,7 +169,7 @@ impl<'a> Casters<'a> {
     /// Adds an occluder that is tested by thin rays. `None` for all others.
     fn add_thin(
         &self,
-        caster: &Caster<'_>,
+        caster: &Occluder<'_>,
         LightCone { place, ray, slope }: LightCone<'_>,
         sum: &mut ConeSum,
         work: &mut LightWork,
@@ -187,7 +187,7 @@ impl<'a> Casters<'a> {
 
     /// Adds one occluder to the results of a cone to the whole light. The edge is known only as -1, 0 or 1 radii: the
     /// occluder covers the cone, leaves it free, or neither.
-    fn decide_cone(&self, caster: &Caster<'_>, cone: LightCone<'_>, sum: &mut ConeSum, work: &mut LightWork) -> Cone {
+    fn decide_cone(&self, caster: &Occluder<'_>, cone: LightCone<'_>, sum: &mut ConeSum, work: &mut LightWork) -> Cone {
         if let Some(found) = self.add_thin(caster, cone, sum, work) {
             return found;
         }
@@ -322,7 +322,7 @@ impl<'a> Casters<'a> {
         place: &SurfacePoint,
         ray: &LightRay,
         split: &Split,
-    ) -> impl Iterator<Item = Caster<'a>> {
+    ) -> impl Iterator<Item = Occluder<'a>> {
         let instance = &self.scene.instances[item as usize];
         let casts = !instance.is_sheet && instance.casts_shadow && instance.shade > 0.0;
         let field = instance.field.as_deref().filter(|_| casts);
@@ -332,7 +332,7 @@ impl<'a> Casters<'a> {
         let is_own = item == place.own;
         let field = field.filter(|_| !(is_own && place.skips_own));
         let parts = [Some([0.0, near]), rest.map(|rest| [rest, ray.t_max])].into_iter().flatten();
-        parts.filter_map(move |part| Some(Caster { instance, field: field?, bounds, part, is_own, skip: 0.0 }))
+        parts.filter_map(move |part| Some(Occluder { instance, field: field?, bounds, part, is_own, skip: 0.0 }))
     }
 
     /// The levels of the far field on their pieces of a ray.
@@ -341,25 +341,25 @@ impl<'a> Casters<'a> {
         split: &Split,
         place: &'a SurfacePoint,
         ray: &'a LightRay,
-    ) -> impl Iterator<Item = Caster<'a>> {
+    ) -> impl Iterator<Item = Occluder<'a>> {
         let start = split.far.map_or(0.0, |far| far[0]);
         let pieces = self.far.zip(split.far).into_iter().flat_map(move |(far, part)| far.pieces(part, place, ray));
         pieces.filter_map(move |(level, part)| {
             let FarLevel { instance, bounds, voxel } = level;
             let skip = if part[0] == start { *voxel } else { 0.0 };
-            Some(Caster { instance, field: instance.field.as_deref()?, bounds, part, is_own: false, skip })
+            Some(Occluder { instance, field: instance.field.as_deref()?, bounds, part, is_own: false, skip })
         })
     }
 
     /// The position at which a ray enters an occluder, scene units.
-    fn hit_of(&self, caster: &Caster<'_>, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> Option<f32> {
+    fn hit_of(&self, caster: &Occluder<'_>, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> Option<f32> {
         self.hit_from(caster, place, ray, caster.part[0], work).map(|hit| hit.t)
     }
 
     /// The first hit of a ray with an occluder at `from` or later, scene units.
     pub fn hit_from(
         &self,
-        caster: &Caster<'_>,
+        caster: &Occluder<'_>,
         place: &SurfacePoint,
         ray: &LightRay,
         from: f64,
@@ -371,7 +371,7 @@ impl<'a> Casters<'a> {
 
     /// The position at which the axis of a cone enters an occluder at `from` or later, where the walk has found no
     /// surface before.
-    fn walk_hit(&self, caster: &Caster<'_>, walk: &ConeWalk<'_>, from: f32, work: &mut LightWork) -> Option<f32> {
+    fn walk_hit(&self, caster: &Occluder<'_>, walk: &ConeWalk<'_>, from: f32, work: &mut LightWork) -> Option<f32> {
         // If an occluder is entered at its first point, the length to skip is measured from there.
         let from = if caster.skip > 0.0 { caster.part[0] } else { f64::from(from) };
         caster.hit_in_field(walk.ray, from, work).map(|hit| hit.t)
@@ -379,7 +379,7 @@ impl<'a> Casters<'a> {
 
     /// Evaluates a cone of radius `slope t` past one occluder. Only edges closer to the axis than `x_known` are
     /// relevant.
-    fn cone_past(&self, caster: &Caster<'_>, cone: LightCone<'_>, x_known: f32, work: &mut LightWork) -> Cone {
+    fn cone_past(&self, caster: &Occluder<'_>, cone: LightCone<'_>, x_known: f32, work: &mut LightWork) -> Cone {
         let Some(walk) = caster.cone_walk(cone, x_known) else { return Cone::FREE };
         let mut steps = 0;
         let found = walk.beside(x_known, &mut steps, |from| self.walk_hit(caster, &walk, from, work));
@@ -393,7 +393,7 @@ impl<'a> Casters<'a> {
     /// Evaluates a wide cone of occlusion past one occluder in fewer steps: see [`ConeWalk::beside_wide`].
     fn wide_cone_past(
         &self,
-        caster: &Caster<'_>,
+        caster: &Occluder<'_>,
         cone: LightCone<'_>,
         wide: &WideCone<'_>,
         x_known: f32,
@@ -413,7 +413,7 @@ impl<'a> Casters<'a> {
     /// Evaluates a cone whose axis enters an occluder at `t_hit`; `wide` is set for a cone of occlusion.
     fn blocked_cone(
         &self,
-        caster: &Caster<'_>,
+        caster: &Occluder<'_>,
         walk: &ConeWalk<'_>,
         t_hit: f32,
         cone: LightCone<'_>,
@@ -445,7 +445,7 @@ impl<'a> Casters<'a> {
     /// of the ray's narrow cone, from 0 to 1. The search ends if it is at most `least`.
     fn clearance_past(
         &self,
-        caster: &Caster<'_>,
+        caster: &Occluder<'_>,
         past: &RayPast,
         LightCone { place, ray, .. }: LightCone<'_>,
         least: f32,
@@ -492,7 +492,7 @@ impl<'a> Casters<'a> {
 
     /// The clearance of the axis of a narrow cone beside one occluder in radii, from 0 to 1. A clearance above
     /// `x_known` need not be exact.
-    fn clearance_beside(&self, caster: &Caster<'_>, cone: LightCone<'_>, x_known: f32, work: &mut LightWork) -> f32 {
+    fn clearance_beside(&self, caster: &Occluder<'_>, cone: LightCone<'_>, x_known: f32, work: &mut LightWork) -> f32 {
         work.steps += 1;
         if caster.field.prefers_rays() {
             return if self.hit_of(caster, cone.place, cone.ray, work).is_some() { 0.0 } else { 1.0 };

@@ -4,11 +4,11 @@ use crate::scene::content::instance::Instance;
 use crate::scene::content::material::{Alpha, Material};
 use crate::scene::content::model::Scene;
 use crate::scene::content::triangles::Triangles;
-use crate::scene::fields::field::SurfaceLook;
+use crate::scene::fields::field::SurfaceAppearance;
 use glam::{Vec3, Vec4};
 
 /// A point on a face of an instance with triangles.
-pub(crate) struct FaceLook<'a> {
+pub(crate) struct FaceAppearance<'a> {
     scene: &'a Scene,
     instance: &'a Instance,
     triangles: &'a Triangles,
@@ -17,7 +17,7 @@ pub(crate) struct FaceLook<'a> {
     weights: [f32; 3],
 }
 
-impl<'a> FaceLook<'a> {
+impl<'a> FaceAppearance<'a> {
     pub(crate) fn new(
         scene: &'a Scene,
         instance: &'a Instance,
@@ -96,7 +96,7 @@ impl<'a> FaceLook<'a> {
 }
 
 /// Linear RGB of a field at a hit.
-pub(crate) fn field_color(instance: &Instance, material: &Material, look: &SurfaceLook) -> Vec3 {
+pub(crate) fn field_color(instance: &Instance, material: &Material, look: &SurfaceAppearance) -> Vec3 {
     let own = look.color.filter(|_| instance.own_colors);
     Vec3::from_array(own.unwrap_or([material.color[0], material.color[1], material.color[2]]))
 }

@@ -1,6 +1,6 @@
 //! The search for the surfaces of one pixel.
 
-use super::appearance::{FaceLook, field_color, field_emission};
+use super::appearance::{FaceAppearance, field_color, field_emission};
 use super::gbuffer::{Layer, View};
 use crate::bvh::rays::watertight::{FaceHit, Ray};
 use crate::geometry::clip;
@@ -23,25 +23,25 @@ const NEARNESS: f64 = 1e-3;
 /// A face is not visible from an eye in its plane.
 const NEAR: f64 = 1e-12;
 
-/// Draws the pixels of a row by `look`: the layers of all pixels, and the number of steps of each.
+/// Draws the pixels of a row by `trace`: the layers of all pixels, and the number of steps of each.
 pub(crate) fn draw_row<'a>(
     scene: &'a Scene,
     options: &'a RenderOptions,
     view: &'a View,
     y: u32,
-    mut look: impl FnMut(&mut Eye<'a>, &mut Vec<Layer>),
+    mut trace: impl FnMut(&mut PixelRay<'a>, &mut Vec<Layer>),
 ) -> (Vec<Layer>, Vec<u32>) {
     let (mut layers, mut steps) = (Vec::new(), Vec::new());
     for x in 0..view.size[0] {
-        let mut eye = Eye { scene, options, view, x, y, left_over: None, skips_opaque: false, steps: 0 };
-        look(&mut eye, &mut layers);
-        steps.push(eye.steps);
+        let mut ray = PixelRay { scene, options, view, x, y, left_over: None, skips_opaque: false, steps: 0 };
+        trace(&mut ray, &mut layers);
+        steps.push(ray.steps);
     }
     (layers, steps)
 }
 
 /// The ray of one pixel.
-pub(crate) struct Eye<'a> {
+pub(crate) struct PixelRay<'a> {
     scene: &'a Scene,
     options: &'a RenderOptions,
     view: &'a View,
@@ -54,9 +54,9 @@ pub(crate) struct Eye<'a> {
     pub steps: u32,
 }
 
-impl Eye<'_> {
+impl PixelRay<'_> {
     /// Appends the layers of the pixel, up to the opaque surface `behind` if it is known.
-    pub(crate) fn look(&mut self, layers: &mut Vec<Layer>, behind: Option<Layer>) {
+    pub(crate) fn trace(&mut self, layers: &mut Vec<Layer>, behind: Option<Layer>) {
         let direction = self.view.direction(self.x, self.y);
         let first = layers.len();
         let limit = behind.map_or(f64::INFINITY, |layer| layer.depth);
@@ -245,7 +245,7 @@ impl Eye<'_> {
         let instance = &self.scene.instances[item as usize];
         let field = instance.field.as_deref()?;
         let to_eye = -direction.normalize().as_vec3();
-        let look = field.look(p, hit, (instance.field_from_scene.matrix3 * direction).as_vec3());
+        let look = field.appearance(p, hit, (instance.field_from_scene.matrix3 * direction).as_vec3());
         let normal = if is_cut {
             // The face through which the ray entered.
             let [lower, upper] = field.surface_bounds();
@@ -292,12 +292,12 @@ struct MeshRay<'a> {
 }
 
 impl MeshRay<'_> {
-    fn look(&self, hit: &FaceHit) -> FaceLook<'_> {
-        FaceLook::new(self.scene, self.instance, self.triangles, hit.face, hit.weights)
+    fn appearance(&self, hit: &FaceHit) -> FaceAppearance<'_> {
+        FaceAppearance::new(self.scene, self.instance, self.triangles, hit.face, hit.weights)
     }
 
     fn material(&self, hit: &FaceHit) -> &Material {
-        self.look(hit).material()
+        self.appearance(hit).material()
     }
 
     /// Whether a face is visible from this side, and not cut out by its mask.
@@ -315,7 +315,7 @@ impl MeshRay<'_> {
     }
 
     fn color(&self, hit: &FaceHit) -> Vec4 {
-        self.look(hit).color(|| self.pixel(hit))
+        self.appearance(hit).color(|| self.pixel(hit))
     }
 
     /// Side of the pixel on the surface, in units of the tree; larger on slanted surfaces.
@@ -334,7 +334,7 @@ impl MeshRay<'_> {
             color.w = 1.0;
         }
         color.w *= self.instance.opacity;
-        let look = self.look(hit);
+        let look = self.appearance(hit);
         Layer {
             x,
             instance: item,

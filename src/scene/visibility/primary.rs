@@ -35,9 +35,9 @@ pub(crate) fn draw(
             rows.zip(seen.chunks_exact(width as usize))
                 .map(|(y, seen)| {
                     let searched = rasterizer.searched(y);
-                    let row = draw_row(scene, options, &view, y, |eye, layers| {
-                        let x = eye.x as usize;
-                        rasterizer.look(eye, &seen[x], searched[x], layers);
+                    let row = draw_row(scene, options, &view, y, |ray, layers| {
+                        let x = ray.x as usize;
+                        rasterizer.resolve(ray, &seen[x], searched[x], layers);
                     });
                     progress.advance(1)?;
                     Ok(row)

@@ -19,7 +19,7 @@
 //! Rows are drawn in bands, in parallel.
 
 use super::gbuffer::{Layer, View};
-use super::pixel_ray::{Eye, as_triangles, is_opaque};
+use super::pixel_ray::{PixelRay, as_triangles, is_opaque};
 use crate::scene::content::instance::Instance;
 use crate::scene::content::material::Alpha;
 use crate::scene::content::model::Scene;
@@ -150,39 +150,39 @@ impl<'a> Rasterizer<'a> {
     }
 
     /// Appends the layers of a pixel. `is_searched` is its entry of [`Self::searched`].
-    pub(crate) fn look<'b>(
+    pub(crate) fn resolve<'b>(
         &'b self,
-        eye: &mut Eye<'b>,
+        ray: &mut PixelRay<'b>,
         seen: &VisibleFace,
         is_searched: bool,
         layers: &mut Vec<Layer>,
     ) {
         if seen.is_unsure() {
-            return eye.look(layers, None);
+            return ray.trace(layers, None);
         }
         let mut behind = None;
         if seen.depth < f64::INFINITY {
-            behind = eye.face(seen.item, seen.face);
+            behind = ray.face(seen.item, seen.face);
             if behind.is_none() {
-                return eye.look(layers, None);
+                return ray.trace(layers, None);
             }
-            eye.steps += 1;
+            ray.steps += 1;
         }
         let Some((left, _)) = self.left_over.as_ref().filter(|_| is_searched) else {
             layers.extend(behind);
             return;
         };
         let first = layers.len();
-        eye.left_over = Some(left);
-        eye.look(layers, behind);
+        ray.left_over = Some(left);
+        ray.trace(layers, behind);
         // At equal depths the order of the search decides.
         let is_tie = |layer: &Layer| {
             behind.is_some_and(|behind| layer.instance != behind.instance && layer.depth == behind.depth)
         };
         if layers[first..].iter().any(is_tie) {
             layers.truncate(first);
-            eye.left_over = None;
-            eye.look(layers, None);
+            ray.left_over = None;
+            ray.trace(layers, None);
         }
     }
 }
@@ -540,7 +540,7 @@ mod tests {
                 let view = View { camera, size: options.size, offset };
                 let mut count = 0;
                 for y in 0..options.size[1] {
-                    let (layers, _) = draw_row(&scene, &options, &view, y, |eye, layers| eye.look(layers, None));
+                    let (layers, _) = draw_row(&scene, &options, &view, y, |ray, layers| ray.trace(layers, None));
                     assert_eq!(drawn.rows[y as usize], layers, "row {y} from {eye}");
                     count += layers.len();
                 }
