@@ -18,6 +18,7 @@ mod device;
 mod device_rays;
 mod inside;
 mod nearest;
+mod precise;
 mod ray_list;
 mod rays;
 mod surface;
@@ -25,6 +26,7 @@ mod thickness;
 
 pub use inside::{contains, winding_numbers};
 pub use nearest::{ClosestPoints, Query, closest_points, query};
+pub use precise::{precise_signed_distances, refined};
 pub use ray_list::Rays;
 pub use rays::{Intersections, RayHits, all_intersections, cast_rays, count_intersections, occluded};
 pub use surface::{SurfaceSamples, sample_surface};

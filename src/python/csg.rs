@@ -158,6 +158,18 @@ impl Shape {
         Ok(values.into_pyarray(py))
     }
 
+    fn distance_float64<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = points)] points: Vec<DVec3>,
+        device: &str,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        choose(py, device)?;
+        let solid = self.solid(py)?;
+        let values = run(py, None, |progress| solid.precise_distances(&points, progress))?;
+        Ok(values.into_pyarray(py))
+    }
+
     fn gradient<'py>(
         &self,
         py: Python<'py>,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, get_args, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from .._core import Shape as CoreShape
 from ..base import checks
+from ..base.checks import DistanceType
 from ..base.errors import MeshError, ShapeError
 from ..base.grid import Resolution, check_count, make_grid
 from ..base.progress import Progress, part, watched
@@ -269,28 +270,46 @@ class Shape(Viewable):
 
     # --- evaluation
 
-    def distance(self, points: ArrayLike, *, device: str = "auto") -> NDArray[np.float32]:
+    @overload
+    def distance(
+        self, points: ArrayLike, *, dtype: Literal["float32"] = "float32", device: str = "auto"
+    ) -> NDArray[np.float32]: ...
+
+    @overload
+    def distance(
+        self, points: ArrayLike, *, dtype: Literal["float64"], device: str = "auto"
+    ) -> NDArray[np.float64]: ...
+
+    def distance(
+        self, points: ArrayLike, *, dtype: DistanceType = "float32", device: str = "auto"
+    ) -> NDArray[np.float32] | NDArray[np.float64]:
         """Evaluate the signed distance at points, negative inside.
 
         Parameters
         ----------
         points : (n, 3) real
             World positions of any leading shape.
+        dtype : "float32" or "float64", default "float32"
+            Type of the result. ``"float64"`` evaluates the closed forms in float64, on the CPU.
         device : str, default "auto"
             ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`fieldbake.devices`.
 
         Returns
         -------
-        (n,) float32
+        (n,) float32 or float64
             The Euclidean distance if :attr:`exact` is true. Otherwise a value with the same sign whose magnitude never
             exceeds :attr:`lipschitz` times the distance.
 
         Raises
         ------
         ArgumentError
-            For a wrong shape or a point that is not finite.
+            For a wrong shape, a point that is not finite, or an unknown `dtype`.
+        ShapeError
+            With ``dtype="float64"`` for a shape with a :func:`fieldbake.volume_shape`, whose samples are float32.
         """
         flat, shape = checks.points(points)
+        if checks.choice("dtype", dtype, get_args(DistanceType)) == "float64":
+            return self._core.distance_float64(flat, checks.text("device", device)).reshape(shape)
         return self._core.distance(flat, checks.text("device", device)).reshape(shape)
 
     def gradient(self, points: ArrayLike) -> NDArray[np.float32]:

@@ -9,12 +9,14 @@ use crate::csg::evaluation::program::{LocalFrame, Program, Stack};
 use crate::csg::evaluation::scalar::Scalar;
 use crate::csg::model::lowered::Model;
 use crate::csg::model::token::Token;
+use crate::csg::tree::primitive::Primitive;
 use crate::csg::tree::shape::Shape;
-use crate::error::Error;
+use crate::error::{Error, ShapeError};
 use crate::grid::Grid;
 use crate::memory::{allocate_samples, zeroed_rows};
 use crate::progress::Progress;
 use crate::simd::with_vectors;
+use bytemuck::Zeroable;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::sync::OnceLock;
@@ -81,6 +83,24 @@ impl Solid {
 
     /// Signed distance, or a bound on it, at world points.
     pub fn distances(&self, points: &[DVec3], progress: &Progress) -> Result<Vec<f32>, Error> {
+        self.distances_as(points, saturated, progress)
+    }
+
+    /// [`Solid::distances`] in float64. A baked volume has float32 samples, so a shape with one is refused.
+    pub fn precise_distances(&self, points: &[DVec3], progress: &Progress) -> Result<Vec<f64>, Error> {
+        if self.model.leaves.iter().any(|leaf| matches!(leaf.primitive, Primitive::Volume(_))) {
+            let problem = "\"float64\" does not apply to a shape with a volume_shape, whose samples are float32";
+            return Err(ShapeError::argument("dtype", problem).into());
+        }
+        self.distances_as(points, |value| value.clamp(-f64::from(f32::MAX), f64::from(f32::MAX)), progress)
+    }
+
+    fn distances_as<T: Copy + Send + Zeroable>(
+        &self,
+        points: &[DVec3],
+        rounded: impl Fn(f64) -> T + Sync,
+        progress: &Progress,
+    ) -> Result<Vec<T>, Error> {
         let mut out = zeroed_rows("results", points.len())?;
         progress.set_total(points.len() as u64);
         out.par_chunks_mut(CHUNK_POINTS).zip(points.par_chunks(CHUNK_POINTS)).try_for_each_init(
@@ -94,7 +114,7 @@ impl Solid {
                     }
                     let values = run_wide(&self.precise, &self.model.tokens, &at, stack);
                     for (out, value) in out.iter_mut().zip(values) {
-                        *out = saturated(value * self.frame.scale);
+                        *out = rounded(value * self.frame.scale);
                     }
                 }
                 progress.advance(points.len() as u64)
