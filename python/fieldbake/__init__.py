@@ -53,6 +53,7 @@ if _TYPE_CHECKING:
     from .meshes.mesh import Mesh as Mesh
     from .meshes.normalization import Normalized as Normalized, normalize as normalize
     from .meshes.part import Part as Part
+    from .meshes.section import Section as Section
     from .queries.nearest import (
         ClosestPoints as ClosestPoints,
         Query as Query,
@@ -185,6 +186,7 @@ _NAMES = {
         "normalize",
     ),
     "meshes.part": ("Part",),
+    "meshes.section": ("Section",),
     "queries.nearest": (
         "ClosestPoints",
         "Query",
