@@ -127,6 +127,7 @@ if _TYPE_CHECKING:
         wrap_quadrics as wrap_quadrics,
     )
     from .shapes.shape import Shape as Shape
+    from .slicing.layers import Slices as Slices, slices as slices
     from .surfaces.report import SolidReport as SolidReport
     from .surfaces.solids import boolean as boolean, offset as offset, shell as shell, solid as solid
     from .volumes.quantized import QuantizedVolume as QuantizedVolume
@@ -267,6 +268,10 @@ _NAMES = {
         "wrap_quadrics",
     ),
     "shapes.shape": ("Shape",),
+    "slicing.layers": (
+        "Slices",
+        "slices",
+    ),
     "surfaces.report": ("SolidReport",),
     "surfaces.solids": (
         "boolean",

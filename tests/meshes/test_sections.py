@@ -212,7 +212,7 @@ FIELDS = {
         [ellipse(1, 1), ellipse(0.5, 0.5)],
     ),
     "volume": lambda: (fb.bake(fb.sphere(1), 320), (0, 0, 0), "y", [ellipse(1, 1)]),
-    "sparse": lambda: (fb.bake_sparse(fb.sphere(1), 320, tolerance=None), (0, 0, 0), (1, 1, 1), [ellipse(1, 1)]),
+    "sparse": lambda: (fb.bake(fb.sphere(1), 320).to_sparse(tolerance=None), (0, 0, 0), (1, 1, 1), [ellipse(1, 1)]),
 }  # fmt: skip
 
 

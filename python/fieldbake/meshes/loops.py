@@ -163,3 +163,38 @@ def nested(loops: list[Array], *, oriented: bool) -> tuple[list[Array], bool]:
         if inside != outside:
             kept.append(loop if inside == (sign > 0) else loop[::-1])
     return (kept, True) if regular else (loops, False)
+
+
+def cut(loops: list[Array], lower: Array, upper: Array) -> list[Array]:
+    """Intersect the inside of loops, which do not cross each other, with a rectangle."""
+    for axis, limit, sign in ((0, lower[0], -1), (0, upper[0], 1), (1, lower[1], -1), (1, upper[1], 1)):
+        kept: list[Array] = []
+        pieces: list[Array] = []
+        for whole in loops:
+            out = sign * (whole[:, axis] - limit) > 0
+            if out.all():
+                continue
+            if not out.any():
+                kept.append(whole)
+                continue
+            # Each run of points inside becomes a piece, with the crossings at its ends.
+            first = int(np.flatnonzero(out)[0])
+            loop, out = np.roll(whole, -first, axis=0), np.roll(out, -first)
+            along, turns = np.roll(loop, -1, axis=0) - loop, out != np.roll(out, -1)
+            share = np.where(turns, limit - loop[:, axis], 0.0) / np.where(turns, along[:, axis], 1.0)
+            crossing = loop + along * share[:, None]
+            crossing[:, axis] = limit
+            enters, leaves = (np.flatnonzero(turns & side) for side in (out, ~out))
+            for enter, leave in zip(enters, leaves, strict=True):
+                ends = crossing[[enter]], crossing[[leave]]
+                pieces.append(np.concatenate([ends[0], loop[enter + 1 : leave + 1], ends[1]]))
+        if pieces:
+            # Along the border, counter-clockwise, the outline leaves and enters in turn.
+            turn = sign if axis == 0 else -sign
+            places = turn * np.array([piece[[0, -1], 1 - axis] for piece in pieces])
+            following = np.empty(len(pieces), np.int64)
+            following[np.argsort(places[:, 1], kind="stable")] = np.argsort(places[:, 0], kind="stable")
+            for chain in cycles(following):
+                kept.extend(simple(np.concatenate([pieces[number] for number in chain])))
+        loops = kept
+    return loops

@@ -22,6 +22,12 @@ BATCH = 1 << 20
 #: A root within this fraction of an edge of one of its ends is that end.
 SNAP = 1e-9
 
+#: Rounding of float32 distances, as a fraction of the longest side of the box: half a unit in the last place is 3e-8.
+NOISE = 2e-7
+
+#: Distance within which a corner counts as a point of a cell, cells.
+BESIDE = 1e-6
+
 #: Sine of the angle from which a turn of the outline within one cell is a corner, about 15 degrees.
 CORNER_SINE = 0.25
 
@@ -38,11 +44,14 @@ class PlaneField:
         World from plane: the plane is z = 0.
     slope : float
         Bound on the change of the field per world unit; infinite if it is not known.
+    noise : float
+        Rounding of the values. Smaller magnitudes count as outside, so that a face in the plane takes one side of it.
     """
 
     values: Callable[[Array], NDArray[Any]]
     frame: Array
     slope: float = math.inf
+    noise: float = 0.0
 
     def world(self, x: Array, y: Array) -> Array:
         """World positions (n, 3) of points of the plane."""
@@ -102,10 +111,10 @@ class PlaneField:
         directions of the neighbouring segments in place of gradients.
         """
         # A ring of outside nodes at the same positions as the border.
-        values = np.pad(self.samples(x, y), 1, constant_values=1.0)
+        values = np.pad(self.samples(x, y, self.noise), 1, constant_values=1.0)
         x, y = np.pad(x, 1, mode="edge"), np.pad(y, 1, mode="edge")
         width = len(x)
-        inside = values < 0
+        inside = values < -self.noise
         code = inside[:-1, :-1] + 2 * inside[:-1, 1:] + np.uint8(4) * inside[1:, 1:] + np.uint8(8) * inside[1:, :-1]
         row, column = np.nonzero((code > 0) & (code < 15))
         if not len(row):
@@ -116,7 +125,9 @@ class PlaneField:
         saddle = (code == 5) | (code == 10)
         apart = np.zeros(len(code), np.bool_)
         middle = row[saddle], column[saddle]
-        apart[saddle] = ~(self.at((x[middle[1]] + x[middle[1] + 1]) / 2, (y[middle[0]] + y[middle[0] + 1]) / 2) < 0)
+        apart[saddle] = ~(
+            self.at((x[middle[1]] + x[middle[1] + 1]) / 2, (y[middle[0]] + y[middle[0] + 1]) / 2) < -self.noise
+        )
         starts: list[Rows] = []
         ends: list[Rows] = []
         cells: list[Rows] = []
@@ -148,7 +159,7 @@ class PlaneField:
         second = first + np.stack([keys & 1, 1 - (keys & 1)])
         low, high = (values[tuple(nodes)].astype(np.float64) for nodes in (first, second))
         starts, ends = (np.stack([x[nodes[1]], y[nodes[0]]], axis=1) for nodes in (first, second))
-        shares = low / (low - high)
+        shares = np.clip(low / (low - high), 0.0, 1.0)
         # Edges to the ring of outside nodes have no length.
         rows = np.flatnonzero((starts != ends).any(axis=1))
         exact = self._roots(starts[rows], ends[rows], shares[rows])
@@ -190,9 +201,15 @@ class PlaneField:
         rows, middle, beyond = rows[near], middle[near], beyond[near]
         share = self._roots(middle, beyond, np.full(len(rows), 0.8))
         places = middle + np.nan_to_num(share)[:, None] * (beyond - middle)
+        # A corner at the border of its cell, up to rounding, belongs to the cell.
+        row, column = np.maximum(cells[rows], 0).T
+        low, high = (np.stack([x[column + step], y[row + step]], axis=1) for step in (0, 1))
+        inner = np.clip(places, low, high)
+        beside = (np.abs(places - inner) <= BESIDE * (high - low)).all(axis=1)
+        places[beside] = inner[beside]
         found = np.stack([np.searchsorted(y, places[:, 1]), np.searchsorted(x, places[:, 0])], axis=1) - 1
         found = np.clip(found, 0, np.array(code.shape) - 1)
-        steps = np.abs(found - cells[rows]).sum(axis=1)
+        steps = np.where(beside, 0, np.abs(found - cells[rows]).sum(axis=1))
         _, number, counts = np.unique(found, axis=0, return_inverse=True, return_counts=True)
         alone = (steps == 1) & (code[tuple(found.T)] % 15 == 0) & (counts[number.reshape(-1)] == 1)
         kept = (share > 0.1) & ((steps == 0) | alone)

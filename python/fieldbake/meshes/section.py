@@ -19,7 +19,7 @@ from ..base.notices import warn_surface
 from ..files.container import atomic_write
 from ..files.svg import svg_path, svg_text
 from .loops import Array, area, chains, cycles, length, nested, simple, successors
-from .outlines import PlaneField, cut_by_box
+from .outlines import NOISE, PlaneField, cut_by_box
 
 #: Offset of the first node of a grid from the border, cells. Faces along the border then lie between nodes.
 SHIFT = 0.62
@@ -317,6 +317,7 @@ def field_sections(
     clipped : bool
         Intersect the solid with the box.
     """
+    noise = NOISE * float((bounds[1] - bounds[0]).max())
     solid = cut_by_box(values, bounds) if clipped else values
     found = []
     for plane in planes:
@@ -330,7 +331,7 @@ def field_sections(
             x, y = (
                 start + (np.arange(int(count)) - SHIFT) * spacing for start, count in zip(lower, counts, strict=True)
             )
-            loops = PlaneField(solid, plane, slope).outlines(x, y)
+            loops = PlaneField(solid, plane, slope, noise).outlines(x, y)
         found.append(Section(tuple(loops), plane))
     return found
 
