@@ -54,6 +54,7 @@ if _TYPE_CHECKING:
     from .meshes.normalization import Normalized as Normalized, normalize as normalize
     from .meshes.part import Part as Part
     from .meshes.section import Section as Section
+    from .queries.edges import sample_edges as sample_edges
     from .queries.nearest import (
         ClosestPoints as ClosestPoints,
         Query as Query,
@@ -188,6 +189,7 @@ _NAMES = {
     ),
     "meshes.part": ("Part",),
     "meshes.section": ("Section",),
+    "queries.edges": ("sample_edges",),
     "queries.nearest": (
         "ClosestPoints",
         "Query",
