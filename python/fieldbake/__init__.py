@@ -18,7 +18,15 @@ from typing import Any as _Any
 if _TYPE_CHECKING:
     # Type checkers and editors read these imports. At run time `_NAMES` takes their place; a test compares both.
     # isort: off
-    from . import arrays as arrays, cache as cache, csg as csg, jax as jax, models as models, torch as torch
+    from . import (
+        arrays as arrays,
+        cache as cache,
+        csg as csg,
+        jax as jax,
+        models as models,
+        torch as torch,
+        training as training,
+    )
     from ._core import __version__ as __version__
     from .atlases.atlas import Atlas as Atlas, AtlasEntry as AtlasEntry
     from .atlases.packing import pack as pack
@@ -287,7 +295,7 @@ _NAMES = {
 }
 
 #: The public modules. PyTorch and JAX are optional and take seconds to import.
-_MODULES = ("arrays", "cache", "csg", "jax", "models", "torch")
+_MODULES = ("arrays", "cache", "csg", "jax", "models", "torch", "training")
 
 _SOURCES = {name: module for module, names in _NAMES.items() for name in names} | {name: name for name in _MODULES}
 

@@ -85,11 +85,11 @@ def edges_of(mesh: Mesh, faces: NDArray[np.int64]) -> Edges:
     return Edges(vertices, owner[first], corner[first], angles, unit_rows(sums))
 
 
-def sharp_edges(mesh: Mesh, angle_deg: float) -> tuple[NDArray[np.float64], Edges]:
-    """List the edges whose dihedral angle exceeds a limit, in degrees, with the welded positions (n, 3)."""
+def sharp_edges(mesh: Mesh, angle_deg: float) -> tuple[NDArray[np.float64], NDArray[np.int64], Edges]:
+    """List the edges whose dihedral angle exceeds a limit, in degrees, after the welded positions and faces."""
     positions, faces = welded(mesh)
     edges = edges_of(mesh, faces)
-    return positions, edges.rows(edges.angles > np.radians(angle_deg))
+    return positions, faces, edges.rows(edges.angles > np.radians(angle_deg))
 
 
 def along_edges(
@@ -150,7 +150,7 @@ def sample_edges(
         raise ArgumentError(f"angle_deg: must be from 0 to less than 180 degrees, got {angle_deg}")
     checked = as_mesh(mesh)
     with progress_callback(progress, "sample edges") as callback:
-        positions, edges = sharp_edges(checked, limit)
+        positions, _, edges = sharp_edges(checked, limit)
         if not len(edges.faces):
             raise MeshError(
                 f"mesh: no edge has a dihedral angle above {limit:g} degrees; lower angle_deg, or use sample_surface"
