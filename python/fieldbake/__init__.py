@@ -24,6 +24,7 @@ if _TYPE_CHECKING:
         csg as csg,
         jax as jax,
         models as models,
+        mujoco as mujoco,
         torch as torch,
         training as training,
     )
@@ -294,8 +295,8 @@ _NAMES = {
     "volumes.volume": ("Volume",),
 }
 
-#: The public modules. PyTorch and JAX are optional and take seconds to import.
-_MODULES = ("arrays", "cache", "csg", "jax", "models", "torch", "training")
+#: The public modules. MuJoCo, PyTorch and JAX are optional and take seconds to import.
+_MODULES = ("arrays", "cache", "csg", "jax", "models", "mujoco", "torch", "training")
 
 _SOURCES = {name: module for module, names in _NAMES.items() for name in names} | {name: name for name in _MODULES}
 

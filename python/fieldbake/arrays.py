@@ -65,7 +65,8 @@ def bake(
         As for :func:`fieldbake.bake`.
     method : "tree" or "brute", default "tree"
         ``"tree"`` searches a bounding volume hierarchy. ``"brute"`` is the bake of the articles: every sample visits
-        every triangle, in float32 on a graphics device. It is a reference for comparison (``shaders/mesh/bake_brute.wgsl``).
+        every triangle, in float32 on a graphics device. It is the reference for comparisons, in
+        ``shaders/mesh/bake_brute.wgsl``.
         It supports ``sign="normal"`` (article 001), ``"parity"`` (article 003) and ``"unsigned"``. Its time is
         proportional to samples times faces.
     dtype : "float32" or "float64", default "float32"
