@@ -14,30 +14,25 @@
 //!
 //! The order is cut into chunks of fixed size, so the result does not depend on the number of threads.
 
-mod deviation;
 mod device;
 mod device_rays;
 mod inside;
 mod nearest;
-mod outer;
+mod precise;
 mod ray_list;
 mod rays;
-mod self_intersections;
-mod side_grid;
 mod surface;
 mod thickness;
 
-pub use deviation::{Deviation, deviation};
 pub use inside::{contains, winding_numbers};
 pub use nearest::{ClosestPoints, Query, closest_points, query};
-pub use outer::OuterSides;
+pub use precise::{precise_signed_distances, refined};
 pub use ray_list::Rays;
 pub use rays::{Intersections, RayHits, all_intersections, cast_rays, count_intersections, occluded};
-pub use self_intersections::count_self_intersections;
 pub use surface::{SurfaceSamples, sample_surface};
 pub use thickness::thickness;
 
-use crate::bvh::closest::ClosestPoint;
+use crate::bvh::nearest::closest::ClosestPoint;
 use crate::error::{ArgumentError, Error};
 use crate::gpu::{self, Place};
 use crate::memory::{prefetch, space_for, zeroed_rows};

@@ -4,12 +4,12 @@
 //! naga writes the whole as GLSL ES 3.00, the language of WebGL 2; WebGPU compiles the WGSL itself. The parameters of a
 //! shape stay in the data of the view, so that a changed parameter compiles nothing.
 
-use crate::csg::Solid;
-use crate::csg::whole::Whole;
+use crate::csg::parts::solid::Solid;
+use crate::csg::text::structure_text::StructureText;
 use crate::encoding::Encoding;
 use crate::error::{DeviceError, Error};
 use crate::gpu::shader::{shared, source_with};
-use crate::shader_text::{GlslTarget, Language, translate_used};
+use crate::shader_text::translation::{GlslTarget, Language, translate_used};
 use naga::ShaderStage;
 use naga::back::glsl::Version;
 use std::fmt::Write;
@@ -62,7 +62,7 @@ pub(crate) fn shader(kinds: ViewedKinds, solids: &[Arc<Solid>], language: Langua
     let mut functions: Vec<(String, Option<String>)> = Vec::new();
     let mut shapes = Vec::new();
     for solid in solids {
-        shapes.push(Whole::of(solid, ARRAY, "steps").map(|whole| {
+        shapes.push(StructureText::of(solid, ARRAY, "steps").map(|whole| {
             let function = (whole.body, whole.color);
             let known = functions.iter().position(|known| *known == function);
             if known.is_none() {
@@ -123,7 +123,8 @@ fn kernel(name: &str, instead: &[(&str, &str)]) -> Result<String, Error> {
 /// Name of the array of numbers before its elements become calls of `number_at`.
 const ARRAY: &str = "numbers";
 
-/// The colour of the operand whose surface is nearer, mixed on a fillet; twin of `color` in src/csg/program.rs.
+/// The colour of the operand whose surface is nearer, mixed on a fillet; twin of `color` in
+/// src/csg/evaluation/program.rs.
 const MIXED_COLOR: &str = "
 fn mixed_color(a: f32, b: f32, first: vec3f, second: vec3f, width: f32) -> vec3f {
     let is_first = a <= b;
@@ -157,7 +158,7 @@ fn shapes_text(functions: &[(String, Option<String>)]) -> String {
     if !functions.is_empty() {
         text += shared("csg_field").unwrap_or_default();
         text += MIXED_COLOR;
-        text += &by_calls(&Whole::helpers(ARRAY));
+        text += &by_calls(&StructureText::helpers(ARRAY));
     }
     let (mut distances, mut colors) = (String::new(), String::new());
     // Writing to a string cannot fail.
@@ -195,7 +196,8 @@ fn by_calls(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::csg::{Shape, language};
+    use crate::csg::text::language;
+    use crate::csg::tree::shape::Shape;
 
     #[test]
     fn every_text_is_valid_in_both_languages() {

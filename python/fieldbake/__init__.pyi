@@ -1,7 +1,16 @@
 # The public names and their modules: type checkers and editors read these imports, and `__init__.py` loads a module at
 # the first use of one of its names.
 # isort: off
-from . import arrays as arrays, cache as cache, csg as csg, jax as jax, models as models, torch as torch
+from . import (
+    arrays as arrays,
+    cache as cache,
+    csg as csg,
+    jax as jax,
+    models as models,
+    mujoco as mujoco,
+    torch as torch,
+    training as training,
+)
 from ._core import __version__ as __version__
 from .atlases.atlas import Atlas as Atlas, AtlasEntry as AtlasEntry
 from .atlases.packing import pack as pack
@@ -36,6 +45,8 @@ from .meshes.convert import as_mesh as as_mesh, load_mesh as load_mesh
 from .meshes.mesh import Mesh as Mesh
 from .meshes.normalization import Normalized as Normalized, normalize as normalize
 from .meshes.part import Part as Part
+from .meshes.section import Section as Section
+from .queries.edges import sample_edges as sample_edges
 from .queries.nearest import (
     ClosestPoints as ClosestPoints,
     Query as Query,
@@ -109,6 +120,7 @@ from .shapes.quadric_texels import (
     wrap_quadrics as wrap_quadrics,
 )
 from .shapes.shape import Shape as Shape
+from .slicing.layers import Slices as Slices, slices as slices
 from .surfaces.report import SolidReport as SolidReport
 from .surfaces.solids import boolean as boolean, offset as offset, shell as shell, solid as solid
 from .volumes.quantized import QuantizedVolume as QuantizedVolume

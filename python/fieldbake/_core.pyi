@@ -266,6 +266,7 @@ class Shape:
     @property
     def leaf_count(self) -> int: ...
     def distance(self, points: NDArray[np.float64], device: str) -> NDArray[np.float32]: ...
+    def distance_float64(self, points: NDArray[np.float64], device: str) -> NDArray[np.float64]: ...
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float32]: ...
     def color(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
         """Linear RGB; nan where the shape is not painted."""
@@ -303,6 +304,24 @@ def signed_distance(
     progress: Callable[[float], object] | None = None,
 ) -> NDArray[np.float32]:
     """Signed distance at ``points`` (n, 3), shape (n,)."""
+
+def signed_distance_float64(
+    mesh: Mesh,
+    points: NDArray[np.float64],
+    *,
+    sign: str = "auto",
+    device: str = "auto",
+    progress: Callable[[float], object] | None = None,
+) -> NDArray[np.float64]:
+    """:func:`signed_distance` in float64."""
+
+def refined(
+    mesh: Mesh,
+    distances: NDArray[np.float32],
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+) -> NDArray[np.float64]:
+    """Float64 distances of the samples of a grid, with the signs of their float32 ``distances`` (nx, ny, nz)."""
 
 def closest_point(
     mesh: Mesh,

@@ -16,6 +16,7 @@ from . import _core
 from .atlases.packing import pack as pack_volumes
 from .atlases.pages import Layout
 from .base import checks
+from .base.checks import DistanceType
 from .base.errors import ArgumentError
 from .base.grid import MAX_SIDE
 from .base.report import Report
@@ -45,8 +46,9 @@ def bake(
     *,
     sign: Sign = "auto",
     method: Method = "tree",
+    dtype: DistanceType = "float32",
     device: str = "auto",
-) -> NDArray[np.float32]:
+) -> NDArray[Any]:
     """Compute the distances of a mesh at the voxel centres of a box.
 
     Parameters
@@ -63,13 +65,17 @@ def bake(
         As for :func:`fieldbake.bake`.
     method : "tree" or "brute", default "tree"
         ``"tree"`` searches a bounding volume hierarchy. ``"brute"`` is the bake of the articles: every sample visits
-        every triangle, in float32 on a graphics device. It is a reference for comparison (``shaders/bake_brute.wgsl``).
+        every triangle, in float32 on a graphics device. It is the reference for comparisons, in
+        ``shaders/mesh/bake_brute.wgsl``.
         It supports ``sign="normal"`` (article 001), ``"parity"`` (article 003) and ``"unsigned"``. Its time is
         proportional to samples times faces.
+    dtype : "float32" or "float64", default "float32"
+        Type of the distances. ``"float64"`` evaluates them from the float64 vertices after the bake, with the signs of
+        ``"float32"``; each sample needs a search of its own.
 
     Returns
     -------
-    (nx, ny, nz) float32
+    (nx, ny, nz) float32 or float64
         Signed distances, negative inside, x fastest in memory: voxel (i, j, k) at
         ``lower + (index + 0.5) * (upper - lower) / shape``.
 
@@ -93,10 +99,13 @@ def bake(
     checks.text("sign", sign)
     checks.text("device", device)
     checks.choice("method", method, get_args(Method))
+    checks.choice("dtype", dtype, get_args(DistanceType))
     if method == "brute":
-        return _core.bake_brute(mesh, *corners, (nx, ny, nz), sign, device)
-    distances, _ = _core.bake(mesh, *corners, (nx, ny, nz), sign=sign, device=device)
-    return distances.read() if isinstance(distances, _core.DeviceField) else distances
+        distances: NDArray[np.float32] = _core.bake_brute(mesh, *corners, (nx, ny, nz), sign, device)
+    else:
+        found, _ = _core.bake(mesh, *corners, (nx, ny, nz), sign=sign, device=device)
+        distances = found.read() if isinstance(found, _core.DeviceField) else found
+    return _core.refined(mesh, distances, *corners) if dtype == "float64" else distances
 
 
 def pack(

@@ -64,7 +64,7 @@ fn filtered_hit(origin: vec3f, direction: vec3f, t_max: f32) -> f32 {
     return -1.0;
 }
 
-// ---- dense grids, twin of src/render/march.rs
+// ---- dense grids, twin of src/march/marcher.rs
 
 fn empty_blocks(index: u32) -> i32 {
     return i32((empty_bytes(index >> 2u) >> (8u * (index & 3u))) & 0xffu);
@@ -121,7 +121,7 @@ fn dense_hit(origin: vec3f, direction: vec3f, t_max: f32) -> f32 {
     return -1.0;
 }
 
-// ---- quadrics, twin of src/scene/objects/quadric.rs: the columns of the form, in the frame of the trim sphere
+// ---- quadrics, twin of src/scene/fields/quadric.rs: the columns of the form, in the frame of the trim sphere
 
 fn quadric_column(column: u32) -> vec4f {
     let at = 4u * column;
@@ -141,7 +141,7 @@ fn quadric_hit(origin: vec3f, direction: vec3f, t_max: f32) -> f32 {
     return select(-1.0, first, first < NO_CROSSING);
 }
 
-// ---- shapes, twin of `march` in src/csg/trace.rs
+// ---- shapes, twin of `march` in src/csg/parts/trace.rs
 
 fn shape_value(p: vec3f) -> f32 {
     steps++;

@@ -90,7 +90,7 @@ struct NearLight {
 }
 
 // The light of the texels of a row, as a point of scene space receives it. Twin of `seen_from` in
-// src/scene/lit_surface.rs.
+// src/scene/light/lit_surface.rs.
 fn light_from(place: vec4f, color: vec4f, axis: vec4f, outer: f32, p: vec3f) -> NearLight {
     if place.w == 0.0 { return NearLight(Light(place.xyz, 0u, color.xyz, 0u), NO_DEPTH); }
     let way = place.xyz - p;

@@ -1,6 +1,6 @@
 // The picture of a view in a browser: a fragment finds the first hit of its ray among the fields of all instances,
 // sends a ray to each light, and shades the hit as fieldbake.raymarch does. Twin of src/render/shade.rs and
-// src/scene/light.rs.
+// src/scene/lighting/compose.rs.
 //
 // One loop holds the ray from the eye and the rays to the lights, because drivers inline functions at each call.
 

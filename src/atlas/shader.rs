@@ -1,10 +1,10 @@
-//! The sampling functions of an atlas as shader text, for the user's programs ([`crate::shader_library`]).
+//! The sampling functions of an atlas as shader text, for the user's programs ([`crate::shader_text::library`]).
 
 use super::Layout;
 use crate::encoding::Encoding;
 use crate::error::{ArgumentError, Error, choice};
-use crate::shader_library::text_without_entry;
-use crate::shader_text::Language;
+use crate::shader_text::library::text_without_entry;
+use crate::shader_text::translation::Language;
 use std::fmt::Write;
 
 const SHELVES: &str = include_str!("../../shaders/atlas/shelves.wgsl");
@@ -164,7 +164,7 @@ fn atlas_share(texel: i32) -> f32 {{
 mod tests {
     use super::super::entry::{AtlasEntry, StripEntry};
     use super::*;
-    use crate::shader_text::parse;
+    use crate::shader_text::translation::parse;
     use naga::{Module, ShaderStage, front};
     use std::mem::offset_of;
 

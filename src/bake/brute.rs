@@ -1,4 +1,4 @@
-//! The bake of the articles on a graphics device: every sample visits every triangle (`shaders/bake_brute.wgsl`).
+//! The bake of the articles on a graphics device: every sample visits every triangle (`shaders/mesh/bake_brute.wgsl`).
 //!
 //! It is a reference for tests and for readers. Its cost is samples times triangles. All arithmetic is float32, so a
 //! sign may be wrong where a ray grazes an edge; [`crate::sign`] has the exact rules.

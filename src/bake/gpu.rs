@@ -2,10 +2,10 @@
 //!
 //! # Theory
 //!
-//! One invocation per sample searches the tree for its nearest triangle (`shaders/bake_distance.wgsl`). A coarse pass
-//! over every fourth sample precedes it. Its triangles are the initial bounds of all other searches, and in a banded
-//! bake its distances bound the far samples. Positions are computed here in float64 and rounded once, in the local
-//! coordinates of the CPU, so both devices agree to float32 rounding.
+//! One invocation per sample searches the tree for its nearest triangle (`shaders/mesh/bake_distance.wgsl`). A coarse
+//! pass over every fourth sample precedes it. Its triangles are the initial bounds of all other searches, and in a
+//! banded bake its distances bound the far samples. Positions are computed here in float64 and rounded once, in the
+//! local coordinates of the CPU, so both devices agree to float32 rounding.
 //!
 //! Alternative tried: culling by convexity for a whole block, as on the CPU ([`super::dense`]). It was slower on
 //! lavapipe (`benches/results/2026-11-21-software-adapter.md`); no hardware GPU was measured.

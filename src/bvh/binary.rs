@@ -199,7 +199,7 @@ mod tests {
     use super::*;
     use crate::mesh::random::{soup, uniform};
 
-    /// The search of `shaders/shared/bvh.wgsl`. Returns also the deepest stack it needed.
+    /// The search of `shaders/shared/mesh/bvh.wgsl`. Returns also the deepest stack it needed.
     fn nearest(tree: &BinaryTree, frames: &[TriangleFrame], p: Vec3) -> (f32, usize) {
         let distance = |low: [f32; 3], high: [f32; 3]| {
             let outside = (Vec3::from(low) - p).max(p - Vec3::from(high)).max(Vec3::ZERO);

@@ -5,28 +5,18 @@
 //! the binned surface area heuristic (Wald, *On fast construction of SAH-based bounding volume hierarchies*, 2007); the
 //! largest child is split until there are eight (Ylitie et al. 2017 do this after a binary build).
 //!
-//! *Practice.* [`Bvh::build`] costs about 0.3 us of processor time and 110 bytes per face. [`closest`] finds nearest
+//! *Practice.* [`Bvh::build`] costs about 0.3 us of processor time and 110 bytes per face. [`nearest`] finds nearest
 //! triangles; other modules traverse the tree with [`Bvh::visit`].
 
 pub(crate) mod binary;
 pub(crate) mod boxes;
 mod build;
-pub(crate) mod cast;
-pub(crate) mod closest;
-pub(crate) mod exact;
-mod group;
 mod lanes;
+pub(crate) mod nearest;
 pub(crate) mod pack;
-#[cfg(target_arch = "x86_64")]
-mod packet;
-mod ray_group;
-pub(crate) mod ray_lanes;
-mod ray_search;
+pub(crate) mod rays;
 mod refit;
-mod sorted_stack;
 mod stack;
-mod turns;
-pub(crate) mod watertight;
 
 use crate::geometry::Aabb;
 use crate::mesh::Mesh;

@@ -3,7 +3,7 @@
 use super::context::{Context, check_adapter};
 use super::device::{Place, choose};
 use super::shader::{KERNELS, source_instead};
-use crate::csg::kernel_texts;
+use crate::csg::evaluation::leaf::kernel_texts;
 use crate::error::{DeviceError, Error};
 use crate::progress::Progress;
 use std::sync::Arc;

@@ -3,11 +3,11 @@
 //! # Theory
 //!
 //! Finding the field with the smallest bound at a sample is nearly all of the work. The device searches the tree for
-//! each sample (`shaders/merge_owners.wgsl`) and encloses the bound of each field in an interval that covers every
-//! float32 rounding. A field owns the sample if its interval lies below all others. Its bound is then the minimum, and
-//! the CPU evaluates it in f64. A sample is undecided where intervals overlap, on a face of a field's cell, and near
-//! quadrics and fields that their box cuts. The CPU evaluates undecided samples over all fields. The merged field
-//! therefore equals that of the CPU bit for bit, on every device.
+//! each sample (`shaders/field/merge_owners.wgsl`) and encloses the bound of each field in an interval that covers
+//! every float32 rounding. A field owns the sample if its interval lies below all others. Its bound is then the
+//! minimum, and the CPU evaluates it in f64. A sample is undecided where intervals overlap, on a face of a field's
+//! cell, and near quadrics and fields that their box cuts. The CPU evaluates undecided samples over all fields. The
+//! merged field therefore equals that of the CPU bit for bit, on every device.
 //!
 //! # Practice
 //!

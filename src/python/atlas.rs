@@ -16,7 +16,7 @@ use crate::encoding::Encoding;
 use crate::gpu::Place;
 use crate::grid::Grid;
 use crate::memory;
-use crate::shader_text::Language;
+use crate::shader_text::translation::Language;
 use crate::volume::device;
 use glam::{DMat4, DVec3};
 use numpy::{

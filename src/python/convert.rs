@@ -21,11 +21,11 @@ pub(super) fn rows<'a, T: numpy::Element>(array: &'a PyReadonlyArray2<'_, T>, na
 }
 
 /// A volume of shape (nx, ny, nz) with x fastest, as a view of the buffer that Rust allocated.
-pub(super) fn volume_array<'py>(
-    py: Python<'py>,
-    samples: Vec<f32>,
+pub(super) fn volume_array<T: numpy::Element>(
+    py: Python<'_>,
+    samples: Vec<T>,
     [nx, ny, nz]: [usize; 3],
-) -> PyResult<Bound<'py, PyArray3<f32>>> {
+) -> PyResult<Bound<'_, PyArray3<T>>> {
     let array = PyArray1::from_vec(py, samples).reshape([nz, ny, nx])?;
     array.permute(Some([2, 1, 0]))
 }

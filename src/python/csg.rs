@@ -5,15 +5,18 @@ use super::device::choose;
 use super::error::Failure;
 use super::render::{PictureArguments, images_of};
 use super::run::{run, run_owned};
-use crate::csg::decompose::shape_of;
-use crate::csg::draw::{DrawMethod, draw, tracer};
-use crate::csg::part::{Method, structure};
-use crate::csg::profile::Profile;
-use crate::csg::shader::shader;
-use crate::csg::volume_leaf::VolumeLeaf;
-use crate::csg::{self, Blend, Op, Solid};
+use crate::csg;
+use crate::csg::device::draw::{DrawMethod, draw, tracer};
+use crate::csg::parts::decompose::shape_of;
+use crate::csg::parts::part::{Method, structure};
+use crate::csg::parts::solid::Solid;
+use crate::csg::text::language;
+use crate::csg::text::shader::shader;
+use crate::csg::tree::profile::Profile;
+use crate::csg::tree::shape::{Blend, Op};
+use crate::csg::tree::volume_leaf::VolumeLeaf;
 use crate::error::{Error, ShapeError};
-use crate::shader_text::Language;
+use crate::shader_text::translation::Language;
 use crate::volume::Trilinear;
 use glam::DVec3;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray3};
@@ -63,7 +66,7 @@ fn profile(kind: &str, numbers: &[f64]) -> Result<Arc<Profile>, ShapeError> {
 impl Shape {
     #[staticmethod]
     fn primitive(name: &str, numbers: Vec<f64>) -> PyResult<Self> {
-        Self::made(csg::primitive::Primitive::named(name, &numbers).map(csg::Shape::primitive))
+        Self::made(csg::tree::primitive::Primitive::named(name, &numbers).map(csg::Shape::primitive))
     }
 
     #[staticmethod]
@@ -94,7 +97,7 @@ impl Shape {
 
     #[staticmethod]
     fn parse(py: Python<'_>, text: &str) -> PyResult<Self> {
-        Self::made(py.detach(|| csg::language::parse(text)))
+        Self::made(py.detach(|| language::parse(text)))
     }
 
     fn changed(&self, name: &str, numbers: Vec<f64>) -> PyResult<Self> {
@@ -110,11 +113,11 @@ impl Shape {
     }
 
     fn aligned(&self, anchor: [f64; 3]) -> PyResult<Self> {
-        Self::made(csg::align::aligned(&self.shape, DVec3::from_array(anchor)))
+        Self::made(csg::model::align::aligned(&self.shape, DVec3::from_array(anchor)))
     }
 
     fn to_sexpr(&self) -> PyResult<String> {
-        Ok(csg::language::to_sexpr(&self.shape).map_err(Failure::from)?)
+        Ok(language::to_sexpr(&self.shape).map_err(Failure::from)?)
     }
 
     /// Lower and upper corner of the bounding box.
@@ -152,6 +155,18 @@ impl Shape {
         let place = choose(py, device)?;
         let solid = self.solid(py)?;
         let values = run(py, None, |progress| solid.distances_at(&place, &points, progress))?;
+        Ok(values.into_pyarray(py))
+    }
+
+    fn distance_float64<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = points)] points: Vec<DVec3>,
+        device: &str,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        choose(py, device)?;
+        let solid = self.solid(py)?;
+        let values = run(py, None, |progress| solid.precise_distances(&points, progress))?;
         Ok(values.into_pyarray(py))
     }
 

@@ -52,7 +52,8 @@ mod _core {
     use super::quadric::Quadrics;
     #[pymodule_export]
     use super::query::{
-        OuterSides, closest_point, contains, query, sample_surface, signed_distance, thickness, winding_number,
+        OuterSides, closest_point, contains, query, refined, sample_surface, signed_distance, signed_distance_float64,
+        thickness, winding_number,
     };
     #[pymodule_export]
     use super::rays::{all_intersections, cast_rays, count_intersections, occluded};

@@ -2,7 +2,7 @@
 //! `sample_surface`.
 
 use super::bake::report_dict;
-use super::convert::{owned_rows, rows};
+use super::convert::{Field, owned_rows, rows, volume_array};
 use super::device::choose;
 use super::error::Failure;
 use super::mesh::Mesh;
@@ -10,7 +10,8 @@ use super::run::{run, run_sized};
 use crate::gpu::Place;
 use crate::query as core;
 use crate::sign::SignMethod;
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2};
+use crate::solid;
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -37,6 +38,44 @@ pub(super) fn signed_distance<'py>(
         core::signed_distances(&place, &mesh, points, method, progress)
     })?;
     Ok(distances.into_pyarray(py))
+}
+
+/// [`signed_distance`] in float64.
+#[pyfunction]
+#[pyo3(signature = (mesh, points, *, sign="auto", device="auto", progress=None))]
+pub(super) fn signed_distance_float64<'py>(
+    py: Python<'py>,
+    mesh: &Mesh,
+    points: PyReadonlyArray2<'py, f64>,
+    sign: &str,
+    device: &str,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    mesh.prepare(py)?;
+    let mesh = mesh.0.clone();
+    let points = rows(&points, "points")?;
+    let place = choose(py, core::device_for(device, &mesh, points.len()))?;
+    let method = sign.parse::<SignMethod>().map_err(Failure::from)?;
+    let distances = run_sized(py, progress, is_short(&mesh, points.len(), &place), |progress| {
+        core::precise_signed_distances(&place, &mesh, points, method, progress)
+    })?;
+    Ok(distances.into_pyarray(py))
+}
+
+/// Float64 distances (nx, ny, nz) of the samples of a grid, with the signs of their float32 `distances`.
+#[pyfunction]
+pub(super) fn refined<'py>(
+    py: Python<'py>,
+    mesh: &Mesh,
+    distances: PyReadonlyArray3<'py, f32>,
+    lower: [f64; 3],
+    upper: [f64; 3],
+) -> PyResult<Bound<'py, PyArray3<f64>>> {
+    mesh.prepare(py)?;
+    let field = Field::new(&distances, lower, upper)?;
+    let (grid, mesh) = (field.grid(), mesh.0.clone());
+    let refined = run(py, None, |progress| core::refined(&mesh, &grid, field.samples(), progress))?;
+    volume_array(py, refined, grid.shape)
 }
 
 /// Closest points (n, 3), unsigned distances (n,), faces (n,), barycentric coordinates (n, 3) and face normals (n, 3).
@@ -201,7 +240,7 @@ pub(super) fn sample_surface<'py>(
 /// The samples of a grid that a flood from the box reaches without crossing a triangle.
 #[pyclass(frozen, module = "fieldbake._core")]
 pub struct OuterSides {
-    sides: core::OuterSides,
+    sides: solid::OuterSides,
     grid: crate::grid::Grid,
 }
 
@@ -218,7 +257,7 @@ impl OuterSides {
     ) -> PyResult<Self> {
         let grid = super::convert::grid(lower, upper, shape)?;
         let mesh = mesh.0.clone();
-        let sides = run(py, None, |progress| core::OuterSides::new(&mesh, &grid, radius, progress))?;
+        let sides = run(py, None, |progress| solid::OuterSides::new(&mesh, &grid, radius, progress))?;
         Ok(Self { sides, grid })
     }
 

@@ -6,10 +6,8 @@ use super::error::{Failure, exception};
 use super::run::run;
 use super::sparse::SparseField;
 use crate::gpu::Place;
-use crate::render::{
-    Camera, DirectionalLight, Filter, Frame, RaymarchOptions, Shadows, Source, raymarch_at,
-    raymarch_nested as draw_nested, raymarch_view,
-};
+use crate::picture::{Camera, DirectionalLight, Filter, Frame, RaymarchOptions, Shadows};
+use crate::render::{Source, raymarch_at, raymarch_nested as draw_nested, raymarch_view};
 use glam::Vec3;
 use numpy::{PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::prelude::*;

@@ -11,15 +11,19 @@ use super::run::{run, run_owned};
 use super::sparse::SparseField;
 use crate::error::SceneError;
 use crate::quadric::Quadrics;
-use crate::scene::far::FarField;
-use crate::scene::field::{DenseField, SampledField};
-use crate::scene::nested::NestedField;
-use crate::scene::objects::{QuadricField, ShapeField, SparseBricks};
-use crate::scene::texture::Texture as CoreTexture;
-use crate::scene::triangles::Triangles;
-use crate::scene::{
-    self, Alpha, Ambient, BounceOptions, InstanceInput, Light, Material, Primary, RenderOptions, SceneShadows, Spot,
+use crate::scene;
+use crate::scene::content::instance::InstanceInput;
+use crate::scene::content::material::{Alpha, Material};
+use crate::scene::content::options::{
+    Ambient, BounceOptions, FarField, Light, Primary, RenderOptions, SceneShadows, Spot,
 };
+use crate::scene::content::texture::Texture as CoreTexture;
+use crate::scene::content::triangles::Triangles;
+use crate::scene::fields::field::{DenseField, SampledField};
+use crate::scene::fields::nested::NestedField;
+use crate::scene::fields::quadric::QuadricField;
+use crate::scene::fields::shape::ShapeField;
+use crate::scene::fields::sparse::SparseBricks;
 use crate::volume::Trilinear;
 use glam::{DAffine3, DMat4, DVec3, Mat4, Vec2, Vec4};
 use numpy::ndarray::ArrayView2;
@@ -31,7 +35,7 @@ use std::sync::atomic::Ordering::Relaxed;
 
 /// Distances prepared for the rays of a scene.
 #[pyclass(frozen, module = "fieldbake._core")]
-pub struct SceneField(Arc<dyn scene::field::Field>);
+pub struct SceneField(Arc<dyn scene::fields::field::Field>);
 
 #[pymethods]
 impl SceneField {

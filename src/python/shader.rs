@@ -1,8 +1,8 @@
 //! `fieldbake._core.shader_library`: functions for the shaders of users.
 
 use super::error::Failure;
-use crate::shader_library::Library;
-use crate::shader_text::Language;
+use crate::shader_text::library::Library;
+use crate::shader_text::translation::Language;
 use pyo3::prelude::*;
 
 /// The functions of a library ("volume", "sparse", "nested" or "quadrics") in a language. `head` is WGSL: a comment

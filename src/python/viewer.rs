@@ -3,7 +3,7 @@
 use super::csg::Shape;
 use super::error::Failure;
 use crate::encoding::Encoding;
-use crate::shader_text::Language;
+use crate::shader_text::translation::Language;
 use crate::viewer::{ShapeFunction, ViewedKinds, shader, triangle_shaders};
 use numpy::{IntoPyArray, PyArray1};
 use pyo3::prelude::*;

@@ -1,4 +1,5 @@
-//! Pictures of quadrics on a graphics device (`shaders/quadrics.wgsl`): geometry in a texture, as in the article.
+//! Pictures of quadrics on a graphics device (`shaders/quadric/quadrics.wgsl`): geometry in a texture, as in the
+//! article.
 //!
 //! The texture is RGBA32F. Texel `i` lies in column `i mod w`, row `i / w`. `w` is a multiple of six near the device's
 //! limit, so that any number of records fits and no record spans two rows:
@@ -13,15 +14,16 @@
 //! centre of all quadrics. Depths then agree with the CPU's to a few float32 roundings of the distance, and of the
 //! radius divided by the slope.
 
-use super::draw::QuadricView;
+use super::picture::QuadricView;
 use super::{LINEAR_UP_TO, Quadrics};
 use crate::error::{DeviceError, Error};
 use crate::gpu::Context;
 use crate::gpu::constants::quadrics::{HIT, NODE_TEXELS, RECORD_TEXELS, UNFINISHED};
 use crate::gpu::layout::{QuadricParams, QuadricPixel};
 use crate::gpu::pace::in_pieces;
+use crate::picture::Frame;
 use crate::progress::Progress;
-use crate::render::{Frame, upload_lights};
+use crate::render::upload_lights;
 use glam::DVec3;
 
 /// Side of a workgroup in pixels, as in the shader.

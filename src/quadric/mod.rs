@@ -26,6 +26,7 @@
 pub(crate) mod draw;
 pub(crate) mod gpu;
 pub(crate) mod local;
+mod picture;
 
 use crate::bvh::boxes::BoxTree;
 use crate::error::{ArgumentError, Error};

@@ -1,5 +1,5 @@
 //! Searches of the tree on a graphics device, one for each item of a list, and the search for the nearest faces of
-//! points (`shaders/query_points.wgsl`).
+//! points (`shaders/mesh/query_points.wgsl`).
 //!
 //! Only the search runs there. The CPU computes the distance to the nearest face in float64, and the side.
 

@@ -1,4 +1,4 @@
-//! The search for the faces that rays may hit, on a graphics device (`shaders/cast_rays.wgsl`).
+//! The search for the faces that rays may hit, on a graphics device (`shaders/mesh/cast_rays.wgsl`).
 //!
 //! The device searches in float32 and returns up to [`SLOTS`] faces for each ray. They include every face of the
 //! result. The CPU computes the hits of these faces in float64. It searches the rays itself for which more faces would

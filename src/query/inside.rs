@@ -1,6 +1,5 @@
 //! The side and the winding number of points, without distances.
 
-use super::side_grid::SideGrid;
 use super::{CHUNK, answer_in_order, check_points, prepare};
 use crate::bvh::BOX_ROUNDING;
 use crate::error::Error;
@@ -9,6 +8,7 @@ use crate::memory::{space_for, zeroed_rows};
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::sign::{SignMethod, SignRule};
+use crate::solid::SideGrid;
 use glam::DVec3;
 use rayon::prelude::*;
 

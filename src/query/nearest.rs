@@ -11,7 +11,7 @@
 
 use super::{CHUNK, Walk, answer_in_order, check_points, prepare};
 use crate::bake::Report;
-use crate::bvh::closest::ClosestPoint;
+use crate::bvh::nearest::closest::ClosestPoint;
 use crate::error::Error;
 use crate::geometry::{Feature, triangle_cross};
 use crate::gpu::Place;

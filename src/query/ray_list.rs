@@ -1,6 +1,6 @@
 //! The rays of a query.
 
-use crate::bvh::watertight::Ray;
+use crate::bvh::rays::watertight::Ray;
 use crate::mesh::Mesh;
 use glam::DVec3;
 use std::ops::Range;

@@ -9,7 +9,7 @@
 use super::device_rays::{Candidates, Search, candidates};
 use super::nearest::unit_normal;
 use super::ray_list::{CHUNK, Rays};
-use crate::bvh::watertight::{FaceHit, Ray};
+use crate::bvh::rays::watertight::{FaceHit, Ray};
 use crate::error::{ArgumentError, Error};
 use crate::gpu::Place;
 use crate::memory::{require_rows, space_for, zeroed_rows};

@@ -15,7 +15,7 @@
 use super::nearest::outward_normal;
 use super::{answer_in_order, check_points, prepare};
 use crate::bvh::Bvh;
-use crate::bvh::watertight::Ray;
+use crate::bvh::rays::watertight::Ray;
 use crate::error::{ArgumentError, Error};
 use crate::geometry::{closest_point_on_triangle, triangle_cross};
 use crate::gpu::Place;

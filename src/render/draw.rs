@@ -1,19 +1,17 @@
 //! Pictures of dense, encoded, sparse and nested fields, on the CPU or on a device.
 
-use super::blocks::Blocks;
-use super::bricks::MaskedBricks;
-use super::camera::Camera;
-use super::frame::{Frame, Row};
 use super::gpu;
 use super::gpu_fields::{MarchedField, nested_grid};
-use super::march::{Marcher, clip_to_box};
-use super::options::{Filter, RaymarchOptions};
 use super::shade::{PixelHit, Shader};
-use super::tiles::Tiles;
 use crate::encoding::Encoding;
 use crate::error::{ArgumentError, Error};
 use crate::gpu::{Context, Place};
 use crate::grid::Grid;
+use crate::march::blocks::Blocks;
+use crate::march::bricks::MaskedBricks;
+use crate::march::marcher::{Marcher, clip_to_box};
+use crate::march::tiles::Tiles;
+use crate::picture::{Camera, Filter, Frame, RaymarchOptions, Row};
 use crate::progress::Progress;
 use crate::volume::device::DeviceField;
 use crate::volume::sparse::SparseView;

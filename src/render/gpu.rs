@@ -5,13 +5,13 @@
 //! bytes, the read-back 48 bytes per pixel.
 
 use super::gpu_fields::MarchedField;
-use super::{Camera, DirectionalLight, Frame, RaymarchOptions};
 use crate::error::{ArgumentError, Error};
 use crate::gpu::Context;
 use crate::gpu::constants::light::MAX_LIGHTS;
 use crate::gpu::layout::{Light, MarchParams, Pixel};
 use crate::gpu::pace::in_pieces;
 use crate::grid::Grid;
+use crate::picture::{Camera, DirectionalLight, Frame, RaymarchOptions};
 use crate::progress::Progress;
 
 /// Side of a workgroup in pixels, as in the shader.

@@ -4,10 +4,6 @@
 //! Stored samples are uploaded unchanged and decoded by the kernel, so a field has the same size on the device as on
 //! the host. A sparse field needs one more byte per brick, for the leaps.
 
-use super::Filter;
-use super::blocks::Blocks;
-use super::bricks::MaskedBricks;
-use super::empty::EmptySpace;
 use crate::encoding::Encoding;
 use crate::error::{ArgumentError, DeviceError, Error};
 use crate::gpu::Context;
@@ -15,6 +11,10 @@ use crate::gpu::constants::ray_sparse::MAX_STEPS;
 use crate::gpu::layout::{NestedLevel, StoredParams, TextureParams};
 use crate::gpu::texture::{FilteredTexture, row_bytes};
 use crate::grid::Grid;
+use crate::march::blocks::Blocks;
+use crate::march::bricks::MaskedBricks;
+use crate::march::empty::EmptySpace;
+use crate::picture::Filter;
 use crate::progress::Progress;
 use crate::volume::device::DeviceField;
 use crate::volume::sparse::SparseView;
@@ -138,7 +138,7 @@ fn check_sides(voxels: usize) -> Result<(), ArgumentError> {
     Err(ArgumentError::new("device", problem))
 }
 
-/// Stored samples and their decoding parameters; `shaders/shared/samples_encoded.wgsl`.
+/// Stored samples and their decoding parameters; `shaders/shared/field/samples_encoded.wgsl`.
 fn stored<T: Texel>(
     context: &Context,
     what: &str,

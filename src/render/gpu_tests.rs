@@ -1,14 +1,15 @@
 //! The ray marcher on a device against the one on the CPU.
 
-use super::bricks::MaskedBricks;
-use super::camera::tests::look_at;
-use super::march::{Marcher, clip_to_box};
 use super::*;
 use crate::encoding::Encoding;
 use crate::gpu::shader::shared;
 use crate::gpu::tests::test_context;
 use crate::gpu::{Place, layout};
 use crate::grid::Grid;
+use crate::march::bricks::MaskedBricks;
+use crate::march::marcher::{Marcher, clip_to_box};
+use crate::picture::camera::tests::look_at;
+use crate::picture::{Camera, Filter, Frame, RaymarchOptions, Shadows};
 use crate::progress::Progress;
 use crate::volume::device::DeviceField;
 use crate::volume::sparse::SparseField;

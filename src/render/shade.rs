@@ -6,14 +6,14 @@
 //! continuous. Where the ray enters the solid through a face of the box, the visible surface is the cut, and the normal
 //! is that of the face.
 //!
-//! A shadow ray is traced like any other ([`super::march`]). It starts [`super::Filter::bias_voxels`] above the
-//! surface, along the normal. The bias is in voxels, because it must clear the facets of the trilinear surface, whose
-//! size is that of a voxel. A side that faces away from a light receives none of it.
+//! A shadow ray is traced like any other ([`crate::march::marcher`]). It starts [`crate::picture::Filter::bias_voxels`]
+//! above the surface, along the normal. The bias is in voxels, because it must clear the facets of the trilinear
+//! surface, whose size is that of a voxel. A side that faces away from a light receives none of it.
 
-use super::blocks::Blocks;
-use super::march::{Marcher, clip_to_box, each_axis, floor};
-use super::{DirectionalLight, RaymarchOptions, Shadows};
 use crate::gpu::constants::light::GROUND_SHARE;
+use crate::march::blocks::Blocks;
+use crate::march::marcher::{Marcher, clip_to_box, each_axis, floor};
+use crate::picture::{DirectionalLight, RaymarchOptions, Shadows};
 use crate::volume::trilinear;
 use glam::{DVec3, IVec3, Vec3};
 

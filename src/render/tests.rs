@@ -1,9 +1,10 @@
 //! Pictures of fields whose surface is known in closed form.
 
-use super::camera::tests::look_at;
 use super::*;
 use crate::error::Error;
 use crate::grid::Grid;
+use crate::picture::camera::tests::look_at;
+use crate::picture::{Camera, DirectionalLight, Frame, RaymarchOptions, Shadows};
 use crate::progress::Progress;
 use crate::volume::{FieldView, Trilinear};
 use glam::{DVec3, Vec3};

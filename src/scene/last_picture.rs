@@ -1,11 +1,12 @@
 //! The visible surfaces of the last picture and the light on them, kept for a next picture that has the same ones.
 
-use super::far::FarField;
-use super::gbuffer::{GBuffer, Layer};
-use super::light_buffer::LightBuffer;
-use super::{Light, Primary, RenderOptions, Scene, SceneShadows};
 use crate::gpu::{Context, Place};
-use crate::render::Camera;
+use crate::picture::Camera;
+use crate::scene::content::model::Scene;
+use crate::scene::content::options::FarField;
+use crate::scene::content::options::{Light, Primary, RenderOptions, SceneShadows};
+use crate::scene::lighting::light_buffer::LightBuffer;
+use crate::scene::visibility::gbuffer::{GBuffer, Layer};
 use glam::DVec3;
 use std::sync::Arc;
 

@@ -1,9 +1,9 @@
 //! The renderer: it draws pictures of a scene, and keeps what they have in common.
 //!
 //! On a graphics device the fields, meshes, textures and rows of a scene stay in device memory between frames
-//! ([`super::gpu`]). A frame with other transforms or materials is a scene of its own that shares the objects
-//! ([`Scene::moved`]), so its picture is the one that a new renderer would draw. Only rows that differ from those of
-//! the frame before are uploaded.
+//! ([`super::device::device_scene`]). A frame with other transforms or materials is a scene of its own that shares the
+//! objects ([`Scene::moved`]), so its picture is the one that a new renderer would draw. Only rows that differ from
+//! those of the frame before are uploaded.
 //!
 //! On the CPU the trees of the meshes and the fields are parts of the scene.
 //!
@@ -11,24 +11,27 @@
 //! scene and camera has the surfaces of the frame before, and with lights of the same places and sizes also the light
 //! on them. Then only the colours are computed.
 
-use super::bounces::Bounces;
-use super::evaluation;
-use super::far::Far;
-use super::gbuffer::GBuffer;
-use super::gpu::DeviceScene;
+use super::device::device_raster;
 use super::last_picture::{LastPicture, LightInputs, SurfaceInputs};
-use super::light_buffer::LightBuffer;
-use super::light_rays::RayCounters;
-use super::lit_surface::Lights;
-use super::pass::Pass;
-use super::shadow::Casters;
-use super::{MAX_BOUNCES, MAX_LIGHTS, Primary, RenderOptions, Scene, SceneShadows, light, primary, raster};
+use super::lighting::{compose, evaluation};
+use super::visibility::primary;
 use crate::error::{DeviceError, Error, SceneError};
 use crate::gpu::buffer::Counters;
 use crate::gpu::{Context, Place};
 use crate::memory::require_for;
+use crate::picture::{Camera, Frame};
 use crate::progress::Progress;
-use crate::render::{Camera, Frame};
+use crate::scene::content::model::Scene;
+use crate::scene::content::options::{MAX_BOUNCES, MAX_LIGHTS, Primary, RenderOptions, SceneShadows};
+use crate::scene::device::device_scene::DeviceScene;
+use crate::scene::light::bounces::Bounces;
+use crate::scene::light::far_field::Far;
+use crate::scene::light::light_rays::RayCounters;
+use crate::scene::light::lit_surface::Lights;
+use crate::scene::light::shadow::Casters;
+use crate::scene::lighting::light_buffer::LightBuffer;
+use crate::scene::lighting::pass::Pass;
+use crate::scene::visibility::gbuffer::GBuffer;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
@@ -62,8 +65,8 @@ impl Renderer {
         &self.counters
     }
 
-    /// Draws a scene. On a graphics device both passes run there; [`raster`] lists the surfaces that the CPU draws. The
-    /// light pass runs there only if the device supports all objects in the scene.
+    /// Draws a scene. On a graphics device both passes run there; [`device_raster`] lists the surfaces that the CPU
+    /// draws. The light pass runs there only if the device supports all objects in the scene.
     pub fn frame(
         &self,
         place: &Place,
@@ -224,7 +227,7 @@ fn draw(
         let buffer = match (last_buffer.take(), device) {
             (Some(buffer), _) => buffer,
             (None, None) => primary::draw(scene, camera, options, offset, progress)?,
-            (None, Some(device)) => raster::draw(scene, device, camera, options, offset, progress)?,
+            (None, Some(device)) => device_raster::draw(scene, device, camera, options, offset, progress)?,
         };
         seconds[0].1 += start.elapsed().as_secs_f64();
         let start = Instant::now();
@@ -254,7 +257,7 @@ fn draw(
             seconds[2].1 += start.elapsed().as_secs_f64();
         }
         let start = Instant::now();
-        let (lit, rays) = light::compose(&look, &known, indirect.as_ref())?;
+        let (lit, rays) = compose::compose(&look, &known, indirect.as_ref())?;
         seconds[1].1 += start.elapsed().as_secs_f64();
         match &mut frame {
             None => (frame, pixel_rays) = (Some(lit), rays),
@@ -272,7 +275,7 @@ fn draw(
     }
     let primary_on = match device {
         None => [false, true],
-        Some(device) => [true, raster::left_over(scene, device, options).is_some()],
+        Some(device) => [true, device_raster::left_over(scene, device, options).is_some()],
     };
     let [rays, far_rays] = counters.counts();
     let picture = centre.filter(|_| passes == 1).map(|(buffer, light, _)| LastPicture {

@@ -1,8 +1,8 @@
 //! The components of the scene's passes compared with closed forms.
 
-use super::cone::visible_share;
-use super::instance::singular_values;
-use super::light_rays::{basis, disc_point};
+use crate::scene::content::instance::singular_values;
+use crate::scene::light::cone::visible_share;
+use crate::scene::light::light_rays::{basis, disc_point};
 use glam::{DMat3, DVec3};
 use proptest::prelude::*;
 

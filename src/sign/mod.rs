@@ -24,7 +24,7 @@ pub(crate) mod winding;
 #[cfg(test)]
 mod tests;
 
-use crate::bvh::closest::ClosestPoint;
+use crate::bvh::nearest::closest::ClosestPoint;
 use crate::error::{ArgumentError, choice};
 use crate::geometry::triangle_cross;
 use crate::gpu::constants::bake_brute::NUDGE;

@@ -5,7 +5,7 @@
 //! consistently wound surfaces without self-intersections: Baerentzen and Aanaes, *Signed distance computation using
 //! the angle weighted pseudonormal*, IEEE TVCG 11(3), 2005. Faces are oriented as the topology decided.
 
-use crate::bvh::closest::ClosestPoint;
+use crate::bvh::nearest::closest::ClosestPoint;
 use crate::geometry::{Feature, is_needle, triangle_cross};
 use crate::mesh::Mesh;
 use crate::mesh::derived::Derived;

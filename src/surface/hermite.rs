@@ -7,8 +7,8 @@
 use super::probes::{NEAR_STEP, PROBES, Place};
 use super::{CrossedEdge, Crossing, ExtraPlanes, LevelSurface, probes};
 use crate::bvh::Bvh;
-use crate::bvh::closest::ClosestPoint;
-use crate::bvh::watertight::{FaceHit, Ray};
+use crate::bvh::nearest::closest::ClosestPoint;
+use crate::bvh::rays::watertight::{FaceHit, Ray};
 use crate::error::Error;
 use crate::mesh::Mesh;
 use crate::progress::Progress;

@@ -3,7 +3,7 @@
 use super::cells::{SurfaceCell, edges_from, patches_of};
 use super::links::{PatchLinks, edges_of};
 use super::patches::edge_corners;
-use super::probes::{ExtraPlanes, Nearby, PatchRegion, Place, SHARP_COSINE};
+use super::probes::{ExtraPlanes, NearInstances, PatchRegion, Place, SHARP_COSINE};
 use super::qef::{Planes, is_within};
 use super::quad::Quad;
 use super::{Crossing, LevelSurface, MARGIN, MeshOptions};
@@ -142,7 +142,7 @@ impl LevelSurface {
         free: bool,
         crossings: &[Crossing],
         extra: &ExtraPlanes,
-        (nearby, is_flat): (&Nearby, bool),
+        (nearby, is_flat): (&NearInstances, bool),
     ) {
         let place = |vertex: &Loose<'_>| Place { point: vertex.place, is_sharp: !extra.of(vertex.id).is_empty() };
         let targets: Vec<Place> = vertices.iter().map(place).collect();

@@ -69,7 +69,7 @@ pub(crate) struct Place {
 
 /// Evaluates the tangent planes close to some places: the index of the place, a point of the plane and its normal are
 /// passed to the second argument. The planes of one place follow each other; the places may come in any order.
-pub(crate) type Nearby = dyn Fn(&[Place], &mut dyn FnMut(usize, DVec3, DVec3)) + Send + Sync;
+pub(crate) type NearInstances = dyn Fn(&[Place], &mut dyn FnMut(usize, DVec3, DVec3)) + Send + Sync;
 
 /// Planes that joined the patches: a point, relative to the lower corner of the cell, and a unit normal.
 #[derive(Default)]
@@ -78,7 +78,7 @@ pub struct ExtraPlanes {
     firsts: Vec<u32>,
     planes: Vec<(DVec3, DVec3)>,
     /// Evaluates planes close to the vertices when they are placed, so that those planes are not stored.
-    nearby: Option<Box<Nearby>>,
+    nearby: Option<Box<NearInstances>>,
     /// Whether the source consists of flat faces.
     is_flat: bool,
 }
@@ -95,7 +95,7 @@ impl ExtraPlanes {
 
     /// These planes, and those that `nearby` evaluates close to the vertices. `is_flat` states that the source consists
     /// of flat faces.
-    pub(crate) fn with_nearby(self, nearby: Box<Nearby>, is_flat: bool) -> Self {
+    pub(crate) fn with_nearby(self, nearby: Box<NearInstances>, is_flat: bool) -> Self {
         Self { nearby: Some(nearby), is_flat, ..self }
     }
 
@@ -105,7 +105,7 @@ impl ExtraPlanes {
     }
 
     /// Evaluates the planes close to vertices, and whether the source consists of flat faces.
-    pub(super) fn nearby(&self) -> Option<(&Nearby, bool)> {
+    pub(super) fn nearby(&self) -> Option<(&NearInstances, bool)> {
         self.nearby.as_deref().map(|nearby| (nearby, self.is_flat))
     }
 

@@ -1,4 +1,4 @@
-//! Samples and gradients of a field in device memory (`shaders/field_cells.wgsl`).
+//! Samples and gradients of a field in device memory (`shaders/field/field_cells.wgsl`).
 //!
 //! *Theory.* The value at a point depends on the corners of one or two cells of the grid. The device copies these
 //! corners, and the CPU interpolates them. The results have the bits of a field in host memory, also for the bound

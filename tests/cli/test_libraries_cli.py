@@ -97,3 +97,22 @@ def test_sample_normalizes_meshes(library, tmp_path):
         assert found["points"].dtype == np.float32
         assert np.abs(found["distances"] - fb.signed_distance(unit, found["points"])).max() <= 1e-6
     assert fieldbake("sample", *library, "-o", tmp_path / "no", "--normalize", "unit").exit_code == 2
+
+
+def test_sample_writes_the_files_of_a_recipe(library, tmp_path):
+    options = ["-o", tmp_path / "samples", "--recipe", "onet", "--jobs", 1]
+    result = fieldbake("sample", *library, *options, "-n", 300, "--seed", 5)
+    assert result.exit_code == 0, result.stderr
+    expected = fb.training.Dataset(library, "onet", seed=5, n=300)[1]
+    with np.load(tmp_path / "samples" / "box_1" / "points.npz") as found:
+        assert found["points"].shape == (300, 3)
+        assert found["occupancies"].tobytes() == expected["points/occupancies"].tobytes()
+    assert "2 skipped" in fieldbake("sample", *library, *options, "-n", 300, "--seed", 5).stdout
+    for option in (("--uniform", 0.5), ("--near", 0.1), ("--dtype", "float32"), ("--normalize", "unit cube")):
+        result = fieldbake("sample", *library, *options, *option)
+        assert result.exit_code == 2
+        assert "does not apply to the recipe" in result.stderr
+    result = fieldbake("sample", *library, "-o", tmp_path / "no", "--recipe", "deep")
+    assert result.exit_code != 0
+    assert "recipe: must be one of" in result.stderr
+    assert not (tmp_path / "no").exists()

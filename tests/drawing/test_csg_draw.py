@@ -236,7 +236,7 @@ def test_ellipsoids_are_exact(radii, seed, flat):
     found = fb.ellipsoid(radii).distance(points).astype(float)
     expected = truth.ellipsoid(radii).field(points)
 
-    # Never farther than the surface; below it by what 12 steps leave at worst, see src/csg/field.rs.
+    # Never farther than the surface; below it by what 12 steps leave at worst, see src/csg/evaluation/field.rs.
     assert (np.abs(found) <= np.abs(expected) + 8 * 2.0**-24).all()
     assert np.abs(found - expected).max() <= 1e-6
     slopes = np.linalg.norm(fb.ellipsoid(radii).gradient(points), axis=1)

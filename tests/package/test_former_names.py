@@ -28,7 +28,6 @@ CALLS = {
     ),
     "merge": (lambda: fb.merge([BALL], method="article"), "method", ["merge", "articles/fields_in_unity"]),
     "circle": (lambda: fb.sphere_intersection(0, 1, 2, 3), "sphere_intersection", ["articles/fields_in_unity"]),
-    "bake_many": (lambda: fb.bake_many([BALL], "out", workers=2), "workers", ["bake_many", "threads"]),
     "rotate": (lambda: BALL.rotate("x", degrees=9), "degrees", ["rotate", "angle_deg"]),
     "profile": (lambda: fb.circle(1).rotate(degrees=9), "degrees", ["rotate", "angle_deg"]),
     "twist": (lambda: BALL.twist(degrees=9), "degrees", ["twist", "per_unit_deg", "pitch"]),

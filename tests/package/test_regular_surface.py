@@ -40,7 +40,7 @@ def test_bakes_take_the_options_of_bake_in_its_order(function):
 
 def test_many_bakes_take_all_options_of_bake(tmp_path):
     given = {**options_of(fb.bake), "resolution": 8}
-    rows = fb.bake_many({"ball": fb.sphere()}, tmp_path, threads=1, **given)
+    rows = fb.bake_many({"ball": fb.sphere()}, tmp_path, workers=1, **given)
     assert rows[0]["status"] == "done"
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 
 #: Shaders of scenes, whose constants are still written twice.
-SCENES = ("shaders/scene_", "shaders/shared/scene_")
+SCENES = ("shaders/scene/", "shaders/shared/scene/")
 
 CONST = re.compile(
     r"^\s*(?:pub(?:\([a-z]+\))? )?const ([A-Z][A-Z_0-9]+)\s*(?::\s*[\w<>]+)?\s*=\s*([^;]+);", re.MULTILINE

@@ -65,6 +65,13 @@ def test_an_intact_store_is_read(store):
     read_all(store)
 
 
+def test_a_store_without_its_root_is_damaged(tmp_path):
+    path = bake(tmp_path / "knot.zarr", "float32")
+    (path / "zarr.json").unlink()
+    with pytest.raises(fb.FormatError, match=r"without zarr\.json"):
+        fb.open_zarr(path)
+
+
 def test_damaged_stores_raise_only_errors_of_fieldbake(store):
     assert assert_only_own_errors(store, range(40)) >= 12
 

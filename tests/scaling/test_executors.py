@@ -46,14 +46,14 @@ def test_functions_of_the_main_program_have_a_time_limit(tmp_path, monkeypatch):
         "killer": lambda: os.kill(os.getpid(), 9),
         "box": lambda: assets.box(1),
     }
-    rows = fb.bake_many(items, tmp_path / "a", threads=1, limit_s=3, resolution=8)
+    rows = fb.bake_many(items, tmp_path / "a", workers=1, limit_s=3, resolution=8)
     assert [row["status"] for row in rows] == ["failed", "failed", "done"]
     assert "limit of 3 s" in rows[0]["error"]
     assert "SIGKILL" in rows[1]["error"]
 
     monkeypatch.setitem(sys.modules, "cloudpickle", None)
     items = {"sleeper": lambda: time.sleep(600), "box": assets.small_box}
-    rows = fb.bake_many(items, tmp_path / "b", threads=1, limit_s=60, resolution=8)
+    rows = fb.bake_many(items, tmp_path / "b", workers=1, limit_s=60, resolution=8)
     assert [row["status"] for row in rows] == ["failed", "done"]
     assert "install cloudpickle" in rows[0]["error"]
 
@@ -124,10 +124,10 @@ def test_the_threads_of_a_bake_are_those_of_the_bake_alone(mesh, tmp_path, monke
     counts = []
     monkeypatch.setattr(_core, "set_threads", counts.append)
     monkeypatch.setattr(threads, "_limit", 0)
-    bake(tmp_path / "k.zarr", mesh, threads=1, executor=executor)
+    bake(tmp_path / "k.zarr", mesh, workers=1, executor=executor)
     assert counts == [1, 0]
     fb.set_threads(2)
-    bake(tmp_path / "k.zarr", mesh, threads=1, executor=executor, resume=False)
+    bake(tmp_path / "k.zarr", mesh, workers=1, executor=executor, resume=False)
     assert counts[2:] == [2, 1, 2]
 
 

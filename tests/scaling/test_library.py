@@ -27,7 +27,7 @@ def boxes():
 
 
 def bake_many(items, out, **options):
-    return fb.bake_many(items, out, **{"resolution": 12, "threads": 1, **options})
+    return fb.bake_many(items, out, **{"resolution": 12, "workers": 1, **options})
 
 
 def statuses(rows):
@@ -198,7 +198,7 @@ def test_a_ledger_line_that_was_cut_short_is_ignored(boxes, tmp_path):
 def test_training_samples_of_many(boxes, tmp_path):
     from fieldbake.scaling.library import sample_many
 
-    rows = sample_many(boxes, tmp_path / "out", n=500, seed=3, threads=1)
+    rows = sample_many(boxes, tmp_path / "out", n=500, seed=3, workers=1)
     assert statuses(rows) == ["done"] * 4
     direct = fb.sample_training(boxes["box_1"], 500, seed=3)
     with np.load(rows[1]["path"]) as found:

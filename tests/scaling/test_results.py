@@ -16,7 +16,7 @@ def boxes():
 
 
 def many(items, out, function=fb.bake_many, **options):
-    return function(items, out, **{"threads": 1, **options})
+    return function(items, out, **{"workers": 1, **options})
 
 
 def statuses(rows):

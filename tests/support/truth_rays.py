@@ -22,7 +22,7 @@ from truth_csg import turn
 SAME = 1e-9
 
 #: A pixel differs if its depth, world units, does by more. Pictures may erode a solid by 1e-6 of the frame's size, at
-#: most 4 here (`ERODED` of src/csg/chord.rs), and float32 rounds as much again: a face at an angle whose sine is
+#: most 4 here (`ERODED` of src/csg/parts/chord.rs), and float32 rounds as much again: a face at an angle whose sine is
 #: 0.01, which is what a pixel away from creases may show, moves in depth by 100 times 8e-6.
 DEPTH_TOLERANCE = 1e-3
 

@@ -320,7 +320,7 @@ export class Data {
     });
   }
 
-  /** The function that decodes sample `i` of an instance, as `decode_sample` in shaders/shared/decode.wgsl does. */
+  /** The function that decodes sample `i` of an instance, as `decode_sample` in shaders/shared/field/decode.wgsl does. */
   private samples(record: number[]): (i: number) => number {
     const first = 4 * record[FIRST];
     const buffer = this.words.buffer;

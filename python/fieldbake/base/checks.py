@@ -7,7 +7,7 @@ import os
 import stat
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,9 @@ from .errors import ArgumentError, CapacityError, Error
 
 #: Largest magnitude of a number or coordinate. Sums and differences of such values still fit in float32.
 FAR = 1e37
+
+#: Types of distances that functions with `dtype` return.
+DistanceType = Literal["float32", "float64"]
 
 #: Number of values from which a copy is compared with the free memory first.
 LONG = 1 << 24

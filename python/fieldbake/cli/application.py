@@ -71,6 +71,8 @@ COMMANDS = {
     "mesh": ("solids", "Write the surface of a field, a shape or a mesh as a closed mesh."),
     "solid": ("solids", "Write a closed two-manifold mesh made from any triangles."),
     "boolean": ("solids", "Combine two meshes: fieldbake boolean a.stl - b.stl -o c.stl."),
+    "slice": ("layers", "Slice a solid into layers for a printer: images in a .zip archive, or outlines as .svg."),
+    "cook": ("physics", "Compile a robot for MuJoCo with exact distances in the octrees of its SDF geoms."),
     "convert": (
         "files",
         "Write a field, an atlas or a mesh in another format; a field becomes a mesh as its zero surface.",

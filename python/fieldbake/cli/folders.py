@@ -28,7 +28,7 @@ def bake_folder(
 ) -> None:
     """Bake each mesh into the folder; exit with status 1 if one failed."""
     bar = err.is_terminal
-    rows = fb.bake_many(meshes, folder, threads=jobs, limit_s=limit_s, resume=not fresh, progress=bar, **options)
+    rows = fb.bake_many(meshes, folder, workers=jobs, limit_s=limit_s, resume=not fresh, progress=bar, **options)
     finish(rows, folder)
 
 

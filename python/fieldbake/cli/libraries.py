@@ -10,18 +10,31 @@ import typer
 from ..meshes.normalization import Target
 from ..queries.sampling import SampleType
 from ..scaling.library import sample_many
+from ..scaling.recipes import RECIPES
 from .application import app, err
 from .folders import finish
+
+#: Values of options for runs without a recipe. A recipe has its own numbers.
+DEFAULTS = {"n": 500_000, "uniform": 0.1, "dtype": "float64", "normalize": None}
 
 
 @app.command()
 def sample(
     mesh: Annotated[list[Path], typer.Argument(help="Mesh files.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for one .npz for each mesh, or one .zarr.")],
-    count: Annotated[int, typer.Option("--count", "-n", help="Number of points for each mesh.")] = 500_000,
+    count: Annotated[
+        int | None,
+        typer.Option(
+            "--count", "-n", help="Number of points for each mesh. The default is 500000, or that of the recipe."
+        ),
+    ] = None,
     uniform: Annotated[
-        float, typer.Option(help="Fraction of the points that are uniform in the box; the others are near the surface.")
-    ] = 0.1,
+        float | None,
+        typer.Option(
+            help="Fraction of the points that are uniform in the box; the others are near the surface. The default is "
+            "0.1."
+        ),
+    ] = None,
     near: Annotated[
         list[float] | None,
         typer.Option(
@@ -39,11 +52,19 @@ def sample(
         ),
     ] = None,
     dtype: Annotated[
-        SampleType,
+        SampleType | None,
         typer.Option(
-            help="Type of the points. float32 rounds them first and evaluates the distances at the rounded points."
+            help="Type of the points. float32 rounds them first and evaluates the distances at the rounded points. The "
+            "default is float64."
         ),
-    ] = "float64",
+    ] = None,
+    recipe: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Write the points, labels and files of a published project: {', '.join(RECIPES)}. Only --count and "
+            "--seed change its numbers."
+        ),
+    ] = None,
     jobs: Annotated[
         int | None, typer.Option(help="Number of meshes sampled at the same time. The default is one per core.")
     ] = None,
@@ -53,9 +74,15 @@ def sample(
     ] = False,
 ) -> None:
     """Write training samples of many meshes: points, and the signed distances and gradients there."""
-    options: dict[str, Any] = {"n": count, "uniform": uniform, "seed": seed, "dtype": dtype, "normalize": normalize}
-    if near:
-        options["near"] = near
+    chosen = {"n": count, "uniform": uniform, "near": near or None, "dtype": dtype, "normalize": normalize}
+    options: dict[str, Any] = {name: value for name, value in chosen.items() if value is not None}
+    if recipe is None:
+        options = {**DEFAULTS, **options}
+    for name in ("uniform", "near", "dtype", "normalize"):
+        if recipe is not None and name in options:
+            raise typer.BadParameter(f"does not apply to the recipe '{recipe}'", param_hint=f"--{name}")
     bar = err.is_terminal
-    rows = sample_many(mesh, output, threads=jobs, limit_s=limit_s, resume=not fresh, progress=bar, **options)
+    rows = sample_many(
+        mesh, output, recipe, workers=jobs, limit_s=limit_s, resume=not fresh, progress=bar, seed=seed, **options
+    )
     finish(rows, output)

@@ -16,12 +16,7 @@ from ..base.progress import part
 from ..base.report import SurfaceReport
 from .convert import as_mesh
 from .mesh import Mesh
-
-#: Largest number of steps of the search for a crossing. Every second step at least halves the interval.
-ROOT_STEPS = 24
-
-#: A crossing is found once the interval is this fraction of an edge, a tenth of the resolution of the vertices.
-ROOT_SHARE = 1e-5
+from .roots import roots
 
 #: Steps of Newton's method from a probe onto a level set. Fields of distances need one on smooth parts.
 NEWTON_STEPS = 2
@@ -121,7 +116,8 @@ class FieldSource:
     def apply(self, surface: _core.Surface, level: float) -> None:
         """Find the root on each crossed edge by the Illinois method, and the gradient there."""
         starts, ends, shares = surface.edges()
-        points, found = self.roots(starts, ends, shares, level)
+        share, found = roots(lambda points: self._values(points, level), starts, ends, shares)
+        points = starts + (ends - starts) * share[:, None]
         normals = np.full(points.shape, np.nan)
         normals[found] = self.gradient(points[found])
         surface.use_planes(points, normals)
@@ -152,42 +148,6 @@ class FieldSource:
             lost |= ~np.isfinite(points).all(axis=1)
             points[lost] = 0.0
         return np.where((kept & ~lost)[:, None], points, np.nan), gradients
-
-    def roots(
-        self,
-        starts: NDArray[np.float64],
-        ends: NDArray[np.float64],
-        shares: NDArray[np.float64],
-        level: float,
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Find the points (n, 3) where the field crosses `level` between pairs of points, and whether they exist (n,).
-
-        M. Dowell and P. Jarratt, "A modified regula falsi method for computing the root of an equation", BIT 11 (1971).
-        """
-        low, high = np.zeros(len(starts)), np.ones(len(starts))
-        at_low, at_high = self._values(starts, level), self._values(ends, level)
-        found = (at_low < 0) != (at_high < 0)
-        share = np.clip(shares, 0.0, 1.0)
-        open_rows = np.flatnonzero(found)
-        side = np.zeros(len(starts), dtype=np.int8)
-        for step in range(ROOT_STEPS):
-            if not len(open_rows):
-                break
-            rows = open_rows
-            if step > 0:
-                share[rows] = low[rows] + (high[rows] - low[rows]) * at_low[rows] / (at_low[rows] - at_high[rows])
-            value = self._values(starts[rows] + (ends[rows] - starts[rows]) * share[rows, None], level)
-            as_low = (value < 0) == (at_low[rows] < 0)
-            # The value at an end that stays twice in a row is halved, so that the interval shrinks from both sides.
-            at_high[rows] = np.where(as_low & (side[rows] == 1), at_high[rows] / 2, at_high[rows])
-            at_low[rows] = np.where(~as_low & (side[rows] == -1), at_low[rows] / 2, at_low[rows])
-            low[rows] = np.where(as_low, share[rows], low[rows])
-            at_low[rows] = np.where(as_low, value, at_low[rows])
-            high[rows] = np.where(as_low, high[rows], share[rows])
-            at_high[rows] = np.where(as_low, at_high[rows], value)
-            side[rows] = np.where(as_low, 1, -1)
-            open_rows = rows[(value != 0) & (high[rows] - low[rows] > ROOT_SHARE)]
-        return starts + (ends - starts) * share[:, None], found
 
     def _values(self, points: NDArray[np.float64], level: float) -> NDArray[np.float64]:
         return np.asarray(self.evaluate(points), dtype=np.float64) - level

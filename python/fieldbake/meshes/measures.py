@@ -25,7 +25,7 @@ def signed_volume(vertices: NDArray[np.float64], faces: NDArray[np.uint32], cent
 
 def face_normals(vertices: NDArray[np.float64], faces: NDArray[np.uint32]) -> NDArray[np.float64]:
     """Unit normals of the faces by their own winding, (m, 3)."""
-    return _unit(cross_products(vertices, faces))
+    return unit_rows(cross_products(vertices, faces))
 
 
 def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.uint32]) -> NDArray[np.float64]:
@@ -40,10 +40,10 @@ def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.uint32]) -> 
         angle = np.arctan2(sine, np.einsum("ij,ij->i", along, across))
         for axis in range(3):
             sums[:, axis] += np.bincount(faces[:, corner], angle * normals[:, axis], len(vertices))
-    return _unit(sums)
+    return unit_rows(sums)
 
 
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def unit_rows(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Normalise vectors to length 1; zero vectors stay zero."""
     # Dividing by the largest component first keeps the squares in range. Columns are faster than rows of three numbers.
     x, y, z = vectors.T

@@ -20,12 +20,13 @@ from . import measures
 from .export import save_mesh
 from .input_arrays import check_colors, check_faces, check_uv, check_vertices
 from .part import Part, check_parts, material_of
+from .section import Section, Sectioned, mesh_sections
 
 if TYPE_CHECKING:
     import trimesh
 
 
-class Mesh(Viewable):
+class Mesh(Viewable, Sectioned):
     """Triangles, checked when the mesh is made.
 
     The search tree is built at the first query and kept. Pass the same `Mesh` to several calls to build it only once.
@@ -315,6 +316,9 @@ class Mesh(Viewable):
             return Mesh._extracted, (self.vertices, self.faces, self._report)
         looks = (self._uv, self._vertex_colors, self._input_face_colors)
         return restore, (*self._core.state(), *looks, self._parts, self._part_rows, self._chord_error)
+
+    def _sections(self, planes: list[NDArray[np.float64]]) -> list[Section]:
+        return mesh_sections(self.vertices, self.faces, planes)
 
     def topology(self) -> dict[str, Any]:
         """Return the properties of the surface after equal positions were welded.

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
 from ..base import checks
+from ..base.checks import DistanceType
 from ..base.notices import warn_surface
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
@@ -201,14 +202,39 @@ def query(
     return Query(distances, gradients, nearest, faces, weights, report)
 
 
+@overload
 def signed_distance(
     mesh: MeshLike,
     points: ArrayLike,
     *,
     sign: Sign = "auto",
+    dtype: Literal["float32"] = "float32",
     device: str = "auto",
     progress: Progress = None,
-) -> NDArray[np.float32]:
+) -> NDArray[np.float32]: ...
+
+
+@overload
+def signed_distance(
+    mesh: MeshLike,
+    points: ArrayLike,
+    *,
+    sign: Sign = "auto",
+    dtype: Literal["float64"],
+    device: str = "auto",
+    progress: Progress = None,
+) -> NDArray[np.float64]: ...
+
+
+def signed_distance(
+    mesh: MeshLike,
+    points: ArrayLike,
+    *,
+    sign: Sign = "auto",
+    dtype: DistanceType = "float32",
+    device: str = "auto",
+    progress: Progress = None,
+) -> NDArray[np.float32] | NDArray[np.float64]:
     """Evaluate the signed distance of a mesh at any points.
 
     Parameters
@@ -219,18 +245,21 @@ def signed_distance(
         World positions.
     sign, progress
         As for :func:`bake`.
+    dtype : "float32" or "float64", default "float32"
+        Type of the distances. ``"float64"`` evaluates them from the float64 vertices, with the signs of ``"float32"``.
+        A device finds a near face, and the CPU finds the nearest one.
     device : str, default "auto"
         As for :func:`closest_point`.
 
     Returns
     -------
-    (...) float32
+    (...) float32 or float64
         World units, negative inside.
 
     Raises
     ------
     MeshError, ArgumentError, DeviceError
-        As for :func:`bake`; ArgumentError also for a point that is not finite.
+        As for :func:`bake`; ArgumentError also for a point that is not finite and an unknown `dtype`.
 
     Warns
     -----
@@ -246,11 +275,14 @@ def signed_distance(
     [2.0, -0.125]
     """
     method, where = choices(sign, device)
+    is_double = checks.choice("dtype", dtype, get_args(DistanceType)) == "float64"
     checked, flat, shape = checked_points(mesh, points)
+    evaluate = _core.signed_distance_float64 if is_double else _core.signed_distance
     with progress_callback(progress, "signed distance") as callback:
-        values = _core.signed_distance(checked._core, flat, sign=method, device=where, progress=callback)
+        values = evaluate(checked._core, flat, sign=method, device=where, progress=callback)
     warn_of_signs(checked, method)
-    return values.reshape(shape)
+    found: NDArray[Any] = values.reshape(shape)
+    return found
 
 
 def contains(mesh: MeshLike, points: ArrayLike, *, sign: Sign = "auto", progress: Progress = None) -> NDArray[np.bool_]:

@@ -179,13 +179,17 @@ def sample_training(
     ===========================  ================================================  =========
     recipe                       near                                              uniform
     ===========================  ================================================  =========
-    DeepSDF (Park et al. 2019)   variances 0.0025 and 0.00025 in the unit          ``0.05``
-                                 sphere: ``(0.05 / diagonal, 0.0158 / diagonal)``
+    DeepSDF, paper (Park et al.  variances 0.0025 and 0.00025 in the unit          ``0.05``
+    2019)                        sphere: ``(0.05 / diagonal, 0.0158 / diagonal)``
+    DeepSDF, code                variances 0.005 and 0.0005 in a sphere of radius  ``0.06``
+                                 1 / 1.03: ``(0.0707 / diagonal, 0.0224 /
+                                 diagonal)``
     Hunyuan3D 2.1, random part   deviations 0.005 and 0.05 in its normalised       ``0.5``
                                  box: ``(0.005 / diagonal, 0.05 / diagonal)``
     ===========================  ================================================  =========
 
-    Hunyuan3D also samples near sharp edges, which this function does not.
+    Hunyuan3D also samples near sharp edges, which this function does not. :func:`fieldbake.training.sample` follows the
+    code of these projects and others in all details; :func:`sample_edges` draws points on sharp edges.
 
     Examples
     --------

@@ -17,10 +17,10 @@ from typing import Any, Literal
 from ..baking.dense import bake
 from ..base import checks
 from ..base.errors import ArgumentError, Error, FormatError
-from ..base.former_names import former_names
 from ..base.progress import Progress, progress_callback
-from . import content, executors, records, results
+from . import content, executors, recipes, records, results
 from .process import Child, Portable, UnsendableError
+from .recipes import Recipe
 from .results import Asset, process
 from .store import import_zarr
 
@@ -34,7 +34,6 @@ OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {
 INTERVAL = 0.1
 
 
-@former_names(workers="threads")
 def bake_many(
     items: Iterable[Any] | Mapping[str, Any],
     out: str | os.PathLike[str],
@@ -43,7 +42,7 @@ def bake_many(
     on_error: Literal["record", "raise"] = "record",
     resume: bool = True,
     limit_s: float | None = None,
-    threads: int | None = None,
+    workers: int | None = None,
     format: str = "npz",
     encoding: str | None = None,
     progress: Progress = None,
@@ -68,9 +67,8 @@ def bake_many(
         Skip items whose content and options are those of a finished result. Failed items are tried again.
     limit_s : float, optional
         Time limit of an item, seconds. An item that takes longer is stopped and counts as failed.
-    threads : int, optional
-        Number of threads that bake without an `executor`, each one item at a time in a process of its own. By default
-        the number of cores.
+    workers : int, optional
+        Number of items that are baked at the same time without an `executor`. By default the number of cores.
     format : str, default "npz"
         Ending of the results; those of :meth:`Volume.save`.
     encoding : str, optional
@@ -115,13 +113,15 @@ def bake_many(
     >>> first[0]["status"], second[0]["status"]
     ('done', 'skipped')
     """
-    shared = (executor, on_error, resume, limit_s, threads, progress, format, encoding)
+    shared = (executor, on_error, resume, limit_s, workers, progress, format, encoding)
     return Run("bake", checks.path(out, "out"), options, *shared).rows(items)
 
 
-@former_names(workers="threads")
 def sample_many(
-    items: Iterable[Any] | Mapping[str, Any], out: str | os.PathLike[str], **options: Any
+    items: Iterable[Any] | Mapping[str, Any],
+    out: str | os.PathLike[str],
+    recipe: str | Recipe | None = None,
+    **options: Any,
 ) -> list[dict[str, Any]]:
     """Draw training samples of each item; arguments and rows as for :func:`bake_many`.
 
@@ -131,9 +131,15 @@ def sample_many(
     these points. With `normalize` it has the ``transform`` (4, 4), float64, from the positions of the mesh to those of
     the points. If `out` ends in ``.zarr``, it is a group of these arrays in one Zarr store. In the report of a row,
     ``undecided_voxels`` is the number of points whose sign is uncertain.
+
+    With a `recipe`, the options are its numbers, ``seed``, ``sign`` and ``device``; see
+    :func:`fieldbake.training.sample_many`.
     """
-    # The type of the points is an option of every run, so that results with another type are drawn again.
-    options.setdefault("dtype", "float64")
+    if recipe is not None:
+        options["recipe"] = recipes.checked_recipe(recipe)
+    else:
+        # The type of the points is an option of every run, so that results with another type are drawn again.
+        options.setdefault("dtype", "float64")
     shared = {field.name: options.pop(field.name) for field in fields(Run) if field.name in options}
     return Run("sample", checks.path(out, "out"), options, **shared).rows(items)
 
@@ -149,35 +155,48 @@ class Run:
     on_error: Literal["record", "raise"] = "record"
     resume: bool = True
     limit_s: float | None = None
-    threads: int | None = None
+    workers: int | None = None
     progress: Progress = None
     format: str = "npz"
     encoding: str | None = None
+    recipe: Recipe | None = None
 
     def __post_init__(self) -> None:
-        function, known = OPTIONS[self.kind]
-        for name in self.options:
-            if name not in known:
-                raise ArgumentError(f"{name}: is no option of {function}; its options are {', '.join(known)}")
+        if self.recipe is not None:
+            # All numbers are options of the run, so that the results change with the numbers of a recipe.
+            # Devices round differently, and a sample must not depend on its worker.
+            defaults = {"seed": 0, "device": "cpu"}
+            self.options = {**defaults, **self.options, **recipes.checked_options(self.recipe, self.options)}
+        else:
+            self._check_names()
         self.executor = executors.checked_executor(self.executor)
         checks.choice("on_error", self.on_error, ("record", "raise"))
         checks.flag("resume", self.resume)
         if self.limit_s is not None:
             checks.number("limit_s", self.limit_s, above=0)
-        if self.threads is not None:
-            checks.integer("threads", self.threads, least=1, most=1024)
+        if self.workers is not None:
+            checks.integer("workers", self.workers, least=1, most=1024)
             if self.executor is not None:
-                raise ArgumentError("threads: does not apply with an executor, which has its own workers")
+                raise ArgumentError("workers: does not apply with an executor, which has its own workers")
         self.ending, self.encoding = results.checked_format(self.kind, self.out, self.format, self.encoding)
-        results.check_options(self.kind, self.options)
-        self.options_hash = content.of_options({"kind": self.kind, "encoding": self.encoding, **self.options})
+        if self.recipe is None:
+            results.check_options(self.kind, self.options)
+        #: Word for the results of the run in the ledger.
+        self.label = self.kind if self.recipe is None else self.recipe.name
+        self.options_hash = content.of_options({"kind": self.label, "encoding": self.encoding, **self.options})
+
+    def _check_names(self) -> None:
+        function, known = OPTIONS[self.kind]
+        for name in self.options:
+            if name not in known:
+                raise ArgumentError(f"{name}: is no option of {function}; its options are {', '.join(known)}")
 
     def rows(self, items: Iterable[Any] | Mapping[str, Any]) -> list[dict[str, Any]]:
         """Bake or sample all items."""
         named = named_items(items)
         check_stems(named, self.ending)
         earlier = records.read(self.out)
-        self._check_kind(earlier[name] for name in (f"{stem}{self.ending}" for stem, _ in named) if name in earlier)
+        self._check_kind(earlier[name] for name in (self._result(stem).name for stem, _ in named) if name in earlier)
         if not self.resume:
             earlier = {}
         self.out.mkdir(parents=True, exist_ok=True)
@@ -193,28 +212,32 @@ class Run:
         for index, (stem, item) in enumerate(named):
             row = self._first_row(stem, item)
             rows.append(row)
-            last = earlier.get(f"{stem}{self.ending}")
+            last = earlier.get(self._result(stem).name)
             start = time.perf_counter()
             try:
-                found = None if callable(item) and not _is_mesh(item) else content.of_item(item)
+                found = None if callable(item) and not is_mesh(item) else content.of_item(item)
             except Exception as error:  # a missing or damaged file is an error of this item alone
                 row.update(error=_text(error), seconds=time.perf_counter() - start)
-                records.append(self.out, {**row, "kind": self.kind})
+                records.append(self.out, {**row, "kind": self.label})
                 first_error = first_error or _named(error, row)
                 continue
-            name = f"{stem}{self.ending}"
-            if found is not None and records.is_done(self.out, last, name, found, self.options_hash):
+            targets = self._targets(stem)
+            if found is not None and records.is_done(last, targets, found, self.options_hash):
                 assert last is not None
                 row.update(status="skipped", seconds=0.0, report=last.get("report"))
                 continue
             known = last.get("content") if last is not None and found is None else None
-            if last is not None and records.is_done(self.out, last, name, known, self.options_hash):
+            if last is not None and records.is_done(last, targets, known, self.options_hash):
                 row["report"] = last.get("report")
             else:
                 known = None
             if found is None:
                 item = Portable(item)
-            assets.append((index, Asset(item, row["path"], self.kind, self.options, self.encoding, found, known)))
+            options = self.options
+            if self.recipe is not None:
+                options = {**options, "seed": recipes.item_seed(options["seed"], stem, 0)}
+            recipe = None if self.recipe is None else self.recipe.name
+            assets.append((index, Asset(item, tuple(targets), self.kind, options, self.encoding, found, known, recipe)))
         if first_error is not None and self.on_error == "raise":
             raise first_error
         self._work(rows, assets)
@@ -222,14 +245,26 @@ class Run:
 
     def _first_row(self, stem: str, item: Any) -> dict[str, Any]:
         label = item if isinstance(item, (str, os.PathLike)) else stem
-        path = os.fspath(self.out / f"{stem}{self.ending}")
+        path = os.fspath(self._result(stem))
         return {"item": label, "path": path, "status": "failed", "seconds": 0.0, "error": None, "report": None}
+
+    def _result(self, stem: str) -> Path:
+        """Path of the result of an item: a file, a group, or a folder of several files."""
+        if self.recipe is None or not self.ending:
+            return self.out / f"{stem}{self.ending}"
+        return recipes.result(self.recipe, self.out, stem, self.options)
+
+    def _targets(self, stem: str) -> list[Path]:
+        """Paths of all files of the result of an item, or of its group."""
+        if self.recipe is None or not self.ending:
+            return [self._result(stem)]
+        return list(recipes.paths(self.recipe, self.out, stem, self.options).values())
 
     def _check_kind(self, earlier: Iterable[Mapping[str, Any]]) -> None:
         for row in earlier:
-            if row.get("status") == "done" and row.get("kind", self.kind) != self.kind:
+            if row.get("status") == "done" and row.get("kind", self.label) != self.label:
                 raise ArgumentError(
-                    f"out: {Path(row['path']).name} in {self.out} is a result of '{row['kind']}', which '{self.kind}' "
+                    f"out: {Path(row['path']).name} in {self.out} is a result of '{row['kind']}', which '{self.label}' "
                     "would overwrite; choose another folder"
                 )
 
@@ -269,7 +304,7 @@ class Run:
             yield from executors.run_tasks(executor, work, tasks)
             return
         cores = executors.available_cores()
-        workers = min(self.threads or cores, len(assets))
+        workers = min(self.workers or cores, len(assets))
         children: list[Child] = []
         local = threading.local()
 
@@ -301,7 +336,7 @@ class Run:
                 "bytes": None,
                 **{k: v for k, v in (facts or {}).items() if k in ("content", "bytes")},
             }
-            records.append(self.out, {**row, **proof, "options": self.options_hash, "kind": self.kind})
+            records.append(self.out, {**row, **proof, "options": self.options_hash, "kind": self.label})
         if error is not None and self.on_error == "raise":
             raise _named(error, row)
 
@@ -364,7 +399,8 @@ def _place(index: int, item: Any) -> str:
     return f"items[{index}]{name}"
 
 
-def _is_mesh(item: Any) -> bool:
+def is_mesh(item: Any) -> bool:
+    """Whether an item is a mesh or a scene of some library, which may also be callable."""
     return hasattr(item, "vertices") or hasattr(item, "geometry")
 
 

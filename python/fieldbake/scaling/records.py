@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,12 +42,11 @@ def append(folder: Path, row: Mapping[str, Any]) -> None:
         stream.write(line.encode())
 
 
-def is_done(folder: Path, row: Mapping[str, Any] | None, name: str, content: str | None, options: str) -> bool:
-    """Whether the file `name` was made from this content with these options, and still has the size in the ledger."""
+def is_done(row: Mapping[str, Any] | None, targets: Sequence[Path], content: str | None, options: str) -> bool:
+    """Whether files were made from this content with these options, and still have the size in the ledger."""
     if row is None or row.get("status") != "done":
         return False
     if (row.get("content"), row.get("options")) != (content, options):
         return False
-    target = folder / name
-    size = size_of(target)
+    size = size_of(targets)
     return size is not None and size == row.get("bytes")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -25,7 +25,7 @@ from ..meshes.normalization import Target
 from ..queries.sampling import TrainingSamples, count_uncertain, draw_training
 from ..volumes import writers
 from ..volumes.volume import Volume
-from . import content
+from . import content, recipes
 from .store import import_zarr
 
 #: Half width of the band of normalised encodings in .npz files, voxels.
@@ -37,10 +37,10 @@ FEW = 8
 
 @dataclass(frozen=True)
 class Asset:
-    """One item, and the path of its result."""
+    """One item, and the paths of its result."""
 
     item: Any
-    target: str
+    targets: tuple[Path, ...]
     kind: Literal["bake", "sample"]
     options: Mapping[str, Any]
     encoding: str | None
@@ -48,6 +48,8 @@ class Asset:
     content: str | None
     #: Hash of the mesh of a callable at the last run. If the hash is the same, the result of that run is kept.
     known: str | None = None
+    #: Name of the recipe of samples; None for those of `draw_training`.
+    recipe: str | None = None
 
 
 def process(asset: Asset) -> dict[str, Any]:
@@ -59,15 +61,25 @@ def process(asset: Asset) -> dict[str, Any]:
         found = content.of_item(item)
         if found == asset.known:
             return {"status": "skipped", "content": found}
-    target = Path(asset.target)
+    target = asset.targets[0]
     if asset.kind == "bake":
         volume = bake(item, **asset.options)
         _save(volume, target, asset.encoding, asset.options.get("band"))
         report = volume.report
+    elif asset.recipe is not None:
+        recipe = recipes.checked_recipe(asset.recipe)
+        arrays, report = recipes.draw(recipe, item, **asset.options)
+        if in_zarr(target):
+            _save_group(target, arrays, recipe.arrays)
+        else:
+            save_files(recipe, asset.targets, arrays)
     else:
         arrays, report = _draw(item, **asset.options)
-        (_save_group if in_zarr(target) else _save_arrays)(target, arrays)
-    return {"status": "done", "content": found, "report": report.to_dict(), "bytes": size_of(target)}
+        if in_zarr(target):
+            _save_group(target, arrays, TrainingSamples._fields)
+        else:
+            _save_arrays(target, arrays)
+    return {"status": "done", "content": found, "report": report.to_dict(), "bytes": size_of(asset.targets)}
 
 
 def _draw(item: Any, normalize: Target | None = None, **options: Any) -> tuple[dict[str, NDArray[Any]], Report]:
@@ -102,14 +114,25 @@ def _save_arrays(target: Path, arrays: Mapping[str, Any]) -> None:
         np.savez(stream, **arrays)
 
 
+def save_files(recipe: recipes.Recipe, targets: Sequence[Path], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write the arrays of a recipe into its files."""
+    for target, inner in zip(targets, recipes.by_file(recipe, arrays).values(), strict=True):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if target.suffix == ".npy":
+            with atomic_write(target) as stream:
+                np.save(stream, inner[""])
+        else:
+            _save_arrays(target, inner)
+
+
 def in_zarr(target: Path) -> bool:
     """Whether a result is a group in a Zarr store."""
     return target.parent.suffix == ".zarr"
 
 
-def _save_group(target: Path, arrays: Mapping[str, Any]) -> None:
-    """Write the arrays as a group, under another name first."""
-    if target.exists() and not all((target / name / "zarr.json").is_file() for name in TrainingSamples._fields):
+def _save_group(target: Path, arrays: Mapping[str, Any], names: Iterable[str]) -> None:
+    """Write the arrays as a group, under another name first. An existing group with arrays of the names is replaced."""
+    if target.exists() and not all((target / name / "zarr.json").is_file() for name in names):
         raise FormatError(f"{target} has other contents than training samples; they stay as they are")
     partial = target.with_name(f".{target.name}.partial")
     group = import_zarr().open_group(partial, mode="w", zarr_format=3)
@@ -120,11 +143,17 @@ def _save_group(target: Path, arrays: Mapping[str, Any]) -> None:
     partial.rename(target)
 
 
-def size_of(target: Path) -> int | None:
-    """Bytes of a result, a file or a group; None if there is none."""
-    if target.is_file():
-        return target.stat().st_size
-    return sum(part.stat().st_size for part in target.rglob("*") if part.is_file()) if target.is_dir() else None
+def size_of(targets: Sequence[Path]) -> int | None:
+    """Bytes of a result, files or a group; None if one of them does not exist."""
+    size = 0
+    for target in targets:
+        if target.is_dir():
+            size += sum(part.stat().st_size for part in target.rglob("*") if part.is_file())
+        elif target.is_file():
+            size += target.stat().st_size
+        else:
+            return None
+    return size
 
 
 def checked_format(kind: str, out: Path, form: object, encoding: object) -> tuple[str, str | None]:

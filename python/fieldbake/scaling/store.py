@@ -97,6 +97,10 @@ class Place:
         root = getattr(self.store, "root", None)
         return os.fspath(root) if isinstance(root, os.PathLike) else None
 
+    def has_files(self) -> bool:
+        """Whether the place is a folder of this machine with contents."""
+        return self.folder is not None and Path(self.folder).is_dir() and any(Path(self.folder).iterdir())
+
     @property
     def name(self) -> str:
         """The last part of the path."""

@@ -68,7 +68,7 @@ def open_zarr(store: str | os.PathLike[str] | Store, *, storage_options: Mapping
     FileNotFoundError
         If there is no store.
     FormatError
-        If fieldbake has not written it, or its plan was not finished.
+        If its ``zarr.json`` is missing, if fieldbake has not written it, or its plan was not finished.
 
     Examples
     --------
@@ -133,6 +133,8 @@ class ZarrVolume(GridField):
     def _open(cls, place: Place) -> ZarrVolume:
         group = place.existing("r")
         if group is None:
+            if place.has_files():
+                raise FormatError(f"{place}: is a folder without zarr.json, so its contents are no Zarr group")
             raise FileNotFoundError(f"there is no Zarr group at {place}")
         volume = cls.__new__(cls)
         with stores.reading(place):

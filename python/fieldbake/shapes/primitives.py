@@ -500,8 +500,8 @@ def _primitive(name: str, *numbers: float) -> Shape:
 
 
 #: Largest magnitude of the level function of each periodic surface, divided by the bound of its gradient (these bounds
-#: are in src/csg/primitive.rs). I-WP is 3 - (X - Y)^2 - (Y - Z)^2 - (Z - X)^2 for the cosines X, Y and Z, so it lies
-#: between -5 and 3.
+#: are in src/csg/tree/primitive.rs). I-WP is 3 - (X - Y)^2 - (Y - Z)^2 - (Z - X)^2 for the cosines X, Y and Z, so it
+#: lies between -5 and 3.
 _LARGEST = {
     "gyroid": 1.5 / math.sqrt(3),
     "schwarz_p": 3 / math.sqrt(3),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterable, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, get_args, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from .._core import Shape as CoreShape
 from ..base import checks
+from ..base.checks import DistanceType
 from ..base.errors import MeshError, ShapeError
 from ..base.former_names import former_names
 from ..base.grid import Resolution, check_count, make_grid
@@ -23,6 +24,7 @@ from ..files.container import check_target
 from ..meshes.export import mesh_kind
 from ..meshes.isosurface import ShapeSource, extract
 from ..meshes.mesh import Mesh
+from ..meshes.section import Section, Sectioned, field_sections, frames
 from ..volumes.volume import Volume, plain_field
 from . import arguments
 from .arguments import Axis
@@ -33,7 +35,7 @@ from .shader_function import FUNCTION, shader_function
 MESH_RESOLUTION = 128
 
 
-class Shape(Viewable):
+class Shape(Viewable, Sectioned):
     """A solid made of primitives and operators. Immutable; every method returns a new shape.
 
     ``a | b`` is the union, ``a & b`` the intersection, ``a - b`` the difference, ``a ^ b`` the symmetric
@@ -323,28 +325,46 @@ class Shape(Viewable):
 
     # --- evaluation
 
-    def distance(self, points: ArrayLike, *, device: str = "auto") -> NDArray[np.float32]:
+    @overload
+    def distance(
+        self, points: ArrayLike, *, dtype: Literal["float32"] = "float32", device: str = "auto"
+    ) -> NDArray[np.float32]: ...
+
+    @overload
+    def distance(
+        self, points: ArrayLike, *, dtype: Literal["float64"], device: str = "auto"
+    ) -> NDArray[np.float64]: ...
+
+    def distance(
+        self, points: ArrayLike, *, dtype: DistanceType = "float32", device: str = "auto"
+    ) -> NDArray[np.float32] | NDArray[np.float64]:
         """Evaluate the signed distance at points, negative inside.
 
         Parameters
         ----------
         points : (n, 3) real
             World positions of any leading shape.
+        dtype : "float32" or "float64", default "float32"
+            Type of the result. ``"float64"`` evaluates the closed forms in float64, on the CPU.
         device : str, default "auto"
             ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`fieldbake.devices`.
 
         Returns
         -------
-        (n,) float32
+        (n,) float32 or float64
             The Euclidean distance if :attr:`exact` is true. Otherwise a value with the same sign whose magnitude never
             exceeds :attr:`lipschitz` times the distance.
 
         Raises
         ------
         ArgumentError
-            For a wrong shape or a point that is not finite.
+            For a wrong shape, a point that is not finite, or an unknown `dtype`.
+        ShapeError
+            With ``dtype="float64"`` for a shape with a :func:`fieldbake.volume_shape`, whose samples are float32.
         """
         flat, shape = checks.points(points)
+        if checks.choice("dtype", dtype, get_args(DistanceType)) == "float64":
+            return self._core.distance_float64(flat, checks.text("device", device)).reshape(shape)
         return self._core.distance(flat, checks.text("device", device)).reshape(shape)
 
     def gradient(self, points: ArrayLike) -> NDArray[np.float32]:
@@ -431,6 +451,68 @@ class Shape(Viewable):
                 surface = _core.Surface.of_shape(self._core, grid.lower, grid.upper, grid.shape, 0.0)
             with part(0.4, 1.0):
                 return extract(surface, 0.0, ShapeSource(self._core), sharp=sharp, capped=capped)
+
+    def section(
+        self,
+        origin: ArrayLike,
+        normal: ArrayLike | str,
+        *,
+        resolution: int = MESH_RESOLUTION,
+        bounds: ArrayLike | None = None,
+    ) -> Section:
+        """Cut the solid by a plane; see :meth:`fieldbake.Mesh.section`.
+
+        Parameters
+        ----------
+        origin, normal
+            As for :meth:`fieldbake.Mesh.section`.
+        resolution : int, default 128
+            Cells of the plane along the longest side of the box.
+        bounds : (2, 3) array, optional
+            Box that cuts the solid, world units; the default is :attr:`bounds`. Unbounded shapes need it.
+
+        Returns
+        -------
+        Section
+            Polygons of the inside, in the coordinates of the plane.
+
+        Raises
+        ------
+        ShapeError
+            If a part is unbounded and `bounds` is not given.
+        ArgumentError
+            For a plane, a box or a resolution that cannot be used.
+
+        Examples
+        --------
+        >>> import fieldbake as fb
+        >>> ring = fb.torus(2, 0.5).section((0, 0, 0), "z")
+        >>> len(ring.polygons), f"{ring.area:.2f}"  # 4 pi is 12.57
+        (2, '12.57')
+        """
+        point = checks.vector("origin", origin, 3)[None]
+        return self.sections(point, normal, resolution=resolution, bounds=bounds)[0]
+
+    def sections(
+        self,
+        origins: ArrayLike,
+        normal: ArrayLike | str,
+        *,
+        resolution: int = MESH_RESOLUTION,
+        bounds: ArrayLike | None = None,
+    ) -> list[Section]:
+        """Cut the solid by parallel planes through `origins` (n, 3); all else is as for :meth:`section`."""
+        planes = frames(origins, normal)
+        box = self.bounds if bounds is None else checks.box("bounds", bounds)
+        cells = checks.integer("resolution", resolution, least=1, most=1 << 20)
+        return field_sections(
+            lambda points: self._core.distance(points, "cpu"),
+            box,
+            float((box[1] - box[0]).max()) / cells,
+            planes,
+            slope=self.lipschitz,
+            clipped=bounds is not None,
+        )
 
     def save(self, path: str | os.PathLike[str], resolution: Resolution = MESH_RESOLUTION, **options: Any) -> None:
         """Write the surface of the solid to a mesh file.

@@ -15,6 +15,7 @@ from ..base.progress import Progress, part, watched
 from ..base.viewable import Viewable
 from ..meshes.isosurface import Source, as_source, extract
 from ..meshes.mesh import Mesh
+from ..meshes.section import Section, Sectioned, field_sections
 from .interop import Interop
 
 Filter = Literal["linear", "nearest"]
@@ -23,7 +24,7 @@ Filter = Literal["linear", "nearest"]
 BORDER, MOSTLY = 32, 0.5
 
 
-class GridField(Viewable, Interop):
+class GridField(Viewable, Sectioned, Interop):
     """A field on a grid over a box. Immutable."""
 
     __slots__ = ("_geometry",)
@@ -183,6 +184,12 @@ class GridField(Viewable, Interop):
                 surface = self._surface(level)
             with part(0.4, 1.0):
                 return extract(surface, level, planes, sharp=sharp, capped=capped, warnings=warnings)
+
+    def _sections(self, planes: list[NDArray[np.float64]]) -> list[Section]:
+        spacing = float(self.spacing.min())
+        return field_sections(
+            lambda points: self._sample(points, "linear"), self._bounds, spacing, planes, clipped=True
+        )
 
     def _border_warnings(self, level: float) -> tuple[str, ...]:
         """Describe a field of unknown origin that is below the level on most of the border of its box."""

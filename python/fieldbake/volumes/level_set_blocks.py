@@ -1,6 +1,6 @@
 """Samples of a field of distances in blocks around a level set. The values at the centres exclude all other blocks.
 
-``src/csg/level.rs`` divides a grid in the same way for shapes.
+``src/csg/level_set.rs`` divides a grid in the same way for shapes.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ mod changes;
 pub(super) use changes::Changes;
 
 use super::LocalGrid;
-use crate::bvh::closest::Slot;
+use crate::bvh::nearest::closest::Slot;
 use crate::bvh::pack::TriangleFrame;
 use crate::bvh::{Bvh, Node, WIDTH};
 use crate::error::Error;

@@ -1,7 +1,7 @@
 //! Structs of bakes and of queries of points.
 
 gpu_structs! {
-    /// A node of the binary tree; `shaders/shared/tree.wgsl`.
+    /// A node of the binary tree; `shaders/shared/mesh/tree.wgsl`.
     "bake_distance": struct Node {
         left_min: [f32; 3],
         /// A child: the index of a node, or a leaf (see `bvh::binary`).
@@ -14,7 +14,7 @@ gpu_structs! {
         pad_1: u32,
     }
 
-    /// A triangle in its own frame; `shaders/shared/triangle.wgsl`.
+    /// A triangle in its own frame; `shaders/shared/mesh/triangle.wgsl`.
     "bake_distance": struct Triangle {
         a: [f32; 3],
         face: u32,
@@ -28,7 +28,7 @@ gpu_structs! {
         right: [f32; 2],
     }
 
-    /// `shaders/bake_distance.wgsl`.
+    /// `shaders/mesh/bake_distance.wgsl`.
     "bake_distance": struct DistanceParams {
         shape: [u32; 3],
         first_block: u32,
@@ -40,7 +40,7 @@ gpu_structs! {
         limit_squared: f32,
     }
 
-    /// `shaders/bake_finish.wgsl`.
+    /// `shaders/mesh/bake_finish.wgsl`.
     "bake_finish": struct FinishParams {
         shape: [u32; 3],
         first_plane: u32,
@@ -54,7 +54,7 @@ gpu_structs! {
         stride: u32,
     }
 
-    /// `shaders/bake_brute.wgsl`.
+    /// `shaders/mesh/bake_brute.wgsl`.
     "bake_brute": struct BruteParams {
         shape: [u32; 3],
         first_triangle: u32,
@@ -64,7 +64,7 @@ gpu_structs! {
         sign_rule: u32,
     }
 
-    /// State of a sample of the brute-force bake; `shaders/bake_brute.wgsl`.
+    /// State of a sample of the brute-force bake; `shaders/mesh/bake_brute.wgsl`.
     "bake_brute": struct BruteState {
         squared: f32,
         nudged_squared: f32,
@@ -72,7 +72,7 @@ gpu_structs! {
         crossings: u32,
     }
 
-    /// `shaders/field_cells.wgsl`.
+    /// `shaders/field/field_cells.wgsl`.
     "field_cells": struct CellParams {
         shape: [u32; 3],
         first: u32,
@@ -82,7 +82,7 @@ gpu_structs! {
         pad_0: u32,
     }
 
-    /// `shaders/query_points.wgsl`.
+    /// `shaders/mesh/query_points.wgsl`.
     "query_points": struct QueryParams {
         first: u32,
         count: u32,
@@ -90,7 +90,7 @@ gpu_structs! {
         pad_1: u32,
     }
 
-    /// `shaders/cast_rays.wgsl`.
+    /// `shaders/mesh/cast_rays.wgsl`.
     "cast_rays": struct CastParams {
         first: u32,
         count: u32,

@@ -1,7 +1,7 @@
 //! Structs of merging.
 
 gpu_structs! {
-    /// A node of the tree over placed fields; `shaders/merge_owners.wgsl`.
+    /// A node of the tree over placed fields; `shaders/field/merge_owners.wgsl`.
     "merge_owners": struct MergeNode {
         min: [f32; 3],
         first: u32,
@@ -9,7 +9,7 @@ gpu_structs! {
         count: u32,
     }
 
-    /// `shaders/merge_owners.wgsl`.
+    /// `shaders/field/merge_owners.wgsl`.
     "merge_owners": struct MergeField {
         row_x: [f32; 4],
         row_y: [f32; 4],
@@ -26,7 +26,7 @@ gpu_structs! {
         is_known: u32,
     }
 
-    /// `shaders/merge_owners.wgsl`.
+    /// `shaders/field/merge_owners.wgsl`.
     "merge_owners": struct MergeGrid {
         shape: [u32; 3],
         first_sample: u32,
@@ -34,7 +34,7 @@ gpu_structs! {
         inverse_unit: f32,
     }
 
-    /// `shaders/merge_owners.wgsl`.
+    /// `shaders/field/merge_owners.wgsl`.
     "merge_owners": struct MergeParams {
         shape: [u32; 3],
         first: u32,

@@ -1,7 +1,7 @@
 //! Structs of pictures of fields, and of packing and copying.
 
 gpu_structs! {
-    /// `shaders/atlas_pack.wgsl`.
+    /// `shaders/atlas/atlas_pack.wgsl`.
     "atlas_pack": struct PackParams {
         corner: [u32; 2],
         tile: [u32; 2],
@@ -17,7 +17,7 @@ gpu_structs! {
         scale_exponent: i32,
     }
 
-    /// `shaders/field_to_texture.wgsl`.
+    /// `shaders/field/field_to_texture.wgsl`.
     "field_to_texture": struct TextureParams {
         width: u32,
         height: u32,
@@ -29,7 +29,7 @@ gpu_structs! {
         pad_0: u32,
     }
 
-    /// `shaders/shared/picture_rays.wgsl`.
+    /// `shaders/shared/picture/picture_rays.wgsl`.
     "csg_draw": struct PictureRays {
         start: [f32; 3],
         width: u32,
@@ -45,7 +45,7 @@ gpu_structs! {
         shadows: u32,
     }
 
-    /// `shaders/shared/picture.wgsl`.
+    /// `shaders/shared/picture/picture.wgsl`.
     "raymarch": struct MarchParams {
         rays: PictureRays,
         shape: [u32; 3],
@@ -61,7 +61,7 @@ gpu_structs! {
         pad_0: u32,
     }
 
-    /// `shaders/shared/samples_encoded.wgsl`.
+    /// `shaders/shared/field/samples_encoded.wgsl`.
     "raymarch_encoded": struct StoredParams {
         encoding: u32,
         scale: f32,
@@ -69,7 +69,7 @@ gpu_structs! {
         pad_1: u32,
     }
 
-    /// `shaders/shared/ray_sparse.wgsl`.
+    /// `shaders/shared/field/ray_sparse.wgsl`.
     "raymarch_sparse": struct SparseParams {
         bricks: [u32; 3],
         floor: f32,
@@ -77,7 +77,7 @@ gpu_structs! {
         longest_step: f32,
     }
 
-    /// `shaders/shared/nested.wgsl`.
+    /// `shaders/shared/field/nested.wgsl`.
     "raymarch_nested": struct NestedLevel {
         shape: [u32; 3],
         first_sample: u32,
@@ -85,7 +85,7 @@ gpu_structs! {
         scale: f32,
     }
 
-    /// `shaders/shared/light.wgsl`.
+    /// `shaders/shared/picture/light.wgsl`.
     "raymarch": struct Light {
         direction: [f32; 3],
         pad_0: u32,
@@ -93,7 +93,7 @@ gpu_structs! {
         pad_1: u32,
     }
 
-    /// `shaders/shared/picture.wgsl`.
+    /// `shaders/shared/picture/picture.wgsl`.
     "raymarch": struct Pixel {
         color: [f32; 4],
         normal: [f32; 3],

@@ -1,7 +1,7 @@
 //! Structs of scenes.
 
 gpu_structs! {
-    /// A node of the tree over a scene's instances; `shaders/shared/scene_tree.wgsl`.
+    /// A node of the tree over a scene's instances; `shaders/shared/scene/scene_tree.wgsl`.
     "scene_beams": struct SceneNode {
         min: [f32; 3],
         /// Leaf: first instance. Inner node: left child; the right child follows it.
@@ -11,7 +11,7 @@ gpu_structs! {
         second: u32,
     }
 
-    /// `shaders/shared/scene_field.wgsl`.
+    /// `shaders/shared/scene/scene_field.wgsl`.
     "scene_beams": struct SceneInstance {
         field_x: [f32; 4],
         field_y: [f32; 4],
@@ -40,7 +40,7 @@ gpu_structs! {
         pad_3: u32,
     }
 
-    /// `shaders/shared/scene_field.wgsl`.
+    /// `shaders/shared/scene/scene_field.wgsl`.
     "scene_beams": struct SceneField {
         shape: [u32; 3],
         first_sample: u32,
@@ -50,7 +50,7 @@ gpu_structs! {
         kind: u32,
     }
 
-    /// `shaders/shared/scene_beam.wgsl`.
+    /// `shaders/shared/scene/scene_beam.wgsl`.
     "scene_beams": struct Beam {
         p: [f32; 3],
         t_max: f32,
@@ -64,7 +64,7 @@ gpu_structs! {
         owner: u32,
     }
 
-    /// `shaders/shared/scene_beam.wgsl`.
+    /// `shaders/shared/scene/scene_beam.wgsl`.
     "scene_beams": struct Answer {
         value: f32,
         is_proven: u32,
@@ -73,7 +73,7 @@ gpu_structs! {
         is_far: u32,
     }
 
-    /// `shaders/scene_beams.wgsl`.
+    /// `shaders/scene/scene_beams.wgsl`.
     "scene_beams": struct BeamParams {
         first: u32,
         count: u32,
@@ -85,7 +85,7 @@ gpu_structs! {
         pad_1: u32,
     }
 
-    /// `shaders/scene_cuts.wgsl`.
+    /// `shaders/scene/scene_cuts.wgsl`.
     "scene_cuts": struct CutParams {
         first: u32,
         count: u32,
@@ -93,7 +93,7 @@ gpu_structs! {
         pad_0: u32,
     }
 
-    /// `shaders/scene_surfaces.wgsl`.
+    /// `shaders/scene/scene_surfaces.wgsl`.
     "scene_surfaces": struct SurfaceLight {
         place: [f32; 3],
         size: f32,
@@ -103,7 +103,7 @@ gpu_structs! {
         pad_2: u32,
     }
 
-    /// `shaders/scene_surfaces.wgsl`.
+    /// `shaders/scene/scene_surfaces.wgsl`.
     "scene_surfaces": struct SurfaceParams {
         eye: [f32; 3],
         width: u32,
@@ -120,7 +120,7 @@ gpu_structs! {
         lights: [SurfaceLight; 16],
     }
 
-    /// `shaders/scene_surfaces.wgsl`.
+    /// `shaders/scene/scene_surfaces.wgsl`.
     "scene_surfaces": struct TileParams {
         first: u32,
         count: u32,
@@ -132,7 +132,7 @@ gpu_structs! {
         pad_2: u32,
     }
 
-    /// `shaders/shared/scene_view.wgsl`.
+    /// `shaders/shared/scene/scene_view.wgsl`.
     "scene_fields": struct RasterInstance {
         clip_x: [f32; 4],
         clip_y: [f32; 4],
@@ -150,7 +150,7 @@ gpu_structs! {
         is_parallel: u32,
     }
 
-    /// `shaders/scene_triangles.wgsl`.
+    /// `shaders/scene/scene_triangles.wgsl`.
     "scene_triangles": struct RasterMaterial {
         kind: u32,
         two_sided: u32,
@@ -162,7 +162,7 @@ gpu_structs! {
         pad_1: u32,
     }
 
-    /// `shaders/scene_triangles.wgsl`.
+    /// `shaders/scene/scene_triangles.wgsl`.
     "scene_triangles": struct TextureLevel {
         first: u32,
         width: u32,

@@ -3,7 +3,7 @@
 use super::picture::PictureRays;
 
 gpu_structs! {
-    /// `shaders/quadrics.wgsl`.
+    /// `shaders/quadric/quadrics.wgsl`.
     "quadrics": struct QuadricParams {
         rays: PictureRays,
         background: [f32; 4],
@@ -17,7 +17,7 @@ gpu_structs! {
         pad_1: u32,
     }
 
-    /// `shaders/quadrics.wgsl`.
+    /// `shaders/quadric/quadrics.wgsl`.
     "quadrics": struct QuadricPixel {
         color: [f32; 4],
         normal: [f32; 3],
@@ -28,7 +28,7 @@ gpu_structs! {
         pad_0: u32,
     }
 
-    /// A placed leaf or warp; `shaders/shared/csg_tables.wgsl`.
+    /// A placed leaf or warp; `shaders/shared/csg/csg_tables.wgsl`.
     "csg_points": struct CsgLeaf {
         row_x: [f32; 3],
         shift_x: f32,
@@ -42,7 +42,7 @@ gpu_structs! {
         first: u32,
     }
 
-    /// `shaders/csg_points.wgsl`.
+    /// `shaders/csg/csg_points.wgsl`.
     "csg_points": struct CsgPointParams {
         first: u32,
         count: u32,
@@ -50,7 +50,7 @@ gpu_structs! {
         pad_0: u32,
     }
 
-    /// `shaders/csg_draw.wgsl`.
+    /// `shaders/csg/csg_draw.wgsl`.
     "csg_draw": struct CsgDrawParams {
         rays: PictureRays,
         inverse_lipschitz: f32,
@@ -59,7 +59,7 @@ gpu_structs! {
         pad_1: u32,
     }
 
-    /// A node or a box; `shaders/csg_draw.wgsl`.
+    /// A node or a box; `shaders/csg/csg_draw.wgsl`.
     "csg_draw": struct CsgBox {
         lower: [f32; 3],
         first: u32,
@@ -71,7 +71,7 @@ gpu_structs! {
         pad_1: u32,
     }
 
-    /// `shaders/csg_draw.wgsl`.
+    /// `shaders/csg/csg_draw.wgsl`.
     "csg_draw": struct CsgPixel {
         normal: [f32; 3],
         t: f32,

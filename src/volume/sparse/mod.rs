@@ -205,7 +205,8 @@ impl<'a, T: Texel> SparseView<'a, T> {
         self.floor
     }
 
-    /// Parameters for shaders, and the nodes in units of the longest step between them (`shaders/shared/bricks.wgsl`).
+    /// Parameters for shaders, and the nodes in units of the longest step between them
+    /// (`shaders/shared/field/bricks.wgsl`).
     pub(crate) fn for_devices(&self) -> (SparseParams, Vec<f32>) {
         let step = self.grid.spacing() * BRICK_CELLS as f64;
         let longest = step.max_element();

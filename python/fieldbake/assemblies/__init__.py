@@ -1,0 +1,1 @@
+"""Rigid bodies with joints, and the robot files that describe them."""

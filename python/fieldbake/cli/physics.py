@@ -1,0 +1,110 @@
+"""The command ``cook``: the model of a robot with exact collision fields, or with closed meshes."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+import fieldbake as fb
+
+from ..assemblies.mjcf_files import compiled, read_spec
+from ..base.optional import optional_module
+from ..files.container import atomic_write
+from ..physics.closing import closed_mesh, has_one_side
+from ..physics.models import MAX_DEPTH, mesh_in_file
+from .application import app, show_rows
+from .commands import Resolution
+from .streams import check_clobber, check_output
+
+
+@app.command()
+def cook(
+    robot: Annotated[Path, typer.Argument(help="An MJCF file with geoms of type sdf.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The .mjb file to write; with --solid an .xml file.")],
+    depth: Annotated[
+        int | None,
+        typer.Option(min=1, max=MAX_DEPTH, help="Largest depth of the octrees; the default is that of the file."),
+    ] = None,
+    solid: Annotated[
+        bool,
+        typer.Option("--solid", help="Write closed meshes, and a copy of the MJCF file that names them."),
+    ] = False,
+    resolution: Resolution = "128",
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per mesh.")] = False,
+) -> None:
+    """Compile a robot for MuJoCo with exact distances in the octrees of its SDF geoms."""
+    check_output(output, (".xml",) if solid else (".mjb",))
+    mujoco = optional_module("mujoco", "fieldbake cook", extra="mujoco")
+    spec = read_spec(robot, "fieldbake cook")
+    if depth is not None:
+        for mesh in spec.meshes:
+            mesh.octree_maxdepth = depth
+    model = compiled(spec, robot)
+    if not (model.mesh_octadr >= 0).any():
+        raise fb.FormatError(f"{robot}: no geom with type='sdf' names a mesh, so there is no octree to fill")
+    if solid:
+        written = _write_solid(spec, model, robot, output, resolution)
+        # The written file leaves its values to MuJoCo; the table compares them with distances.
+        fields = fb.mujoco.refine(compiled(spec, output))
+    else:
+        fields, written = fb.mujoco.refine(model), []
+        buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+        mujoco.mj_saveModel(model, None, buffer)
+        with atomic_write(output) as stream:
+            stream.write(buffer.tobytes())
+    for field in fields:
+        if as_json:
+            facts = {"file": str(output), "mujoco": mujoco.__version__, **field._asdict()}
+            typer.echo(json.dumps(facts))
+        else:
+            show_rows(f"{output}: {field.name}", _rows(field))
+    if not as_json:
+        version = f"{mujoco.__version__}; other versions of MuJoCo refuse the file"
+        rows = [("meshes", ", ".join(map(str, written)) or "none needed a change")] if solid else [("MuJoCo", version)]
+        show_rows(str(output), rows)
+
+
+def _rows(field: Any) -> list[tuple[str, str]]:
+    """Labels and texts of a filled octree."""
+    return [
+        ("octree", f"{field.nodes:,} nodes, {field.corners:,} corners of leaves"),
+        ("wrong signs", f"{field.wrong_signs:,} corners in the octree of MuJoCo"),
+        ("largest change", f"{field.largest_change:.4g}"),
+        ("time", f"{field.seconds:.2f} s"),
+    ]
+
+
+def _write_solid(spec: Any, model: Any, robot: Path, output: Path, resolution: Any) -> list[Path]:
+    """Write closed meshes beside `output`, and the MJCF file that names them; return the new files."""
+    folder = output.resolve().parent
+    source = robot.resolve().parent
+    strip = spec.strippath
+    for assets, kind in ((spec.meshes, "meshdir"), (spec.hfields, "meshdir"), (spec.textures, "texturedir")):
+        for asset in assets:
+            if asset.file:
+                name = os.path.basename(asset.file.replace("\\", "/")) if strip else asset.file  # noqa: PTH119
+                asset.file = os.path.relpath(source / getattr(spec, kind) / name, folder)
+    spec.strippath, spec.meshdir, spec.texturedir, spec.modelfiledir = False, "", "", str(folder)
+    by_name = {mesh.name: mesh for mesh in spec.meshes}
+    written: list[Path] = []
+    for i in np.flatnonzero(model.mesh_octadr >= 0):
+        name = model.mesh(i).name
+        mesh = mesh_in_file(model, int(i))
+        if has_one_side(mesh):
+            continue
+        file = folder / f"{output.stem}_{len(written)}.obj"
+        check_clobber(file)
+        closed_mesh(mesh, resolution).save(file)
+        written.append(file)
+        asset = by_name[name]
+        asset.file, asset.content_type, asset.scale = file.name, "", np.ones(3)
+        asset.refpos, asset.refquat = np.zeros(3), np.eye(4)[0]
+        asset.uservert, asset.userface = [], []  # of a mesh that the file lists in numbers
+    with atomic_write(output) as stream:
+        stream.write(spec.to_xml().encode())
+    return written

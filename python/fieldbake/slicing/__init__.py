@@ -1,0 +1,1 @@
+"""Slices of solids for printers: images and outlines of layers."""

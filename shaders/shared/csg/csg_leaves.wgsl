@@ -1,0 +1,75 @@
+// The field of one leaf. Twin of PlacedLeaf::distances in src/csg/evaluation/leaf.rs, which writes the module
+// csg_kinds: the constants of the kinds, and `own_distance`, which selects the distance function of a leaf by its kind.
+
+#import csg_field
+#import csg_kinds
+#import csg_tables
+
+// Signed distance to a polygon: the nearest edge, with the sign from the parity of the edges to the right.
+fn polygon(at: vec2f, first: u32, count: u32) -> f32 {
+    var nearest = CSG_FAR;
+    var is_inside = false;
+    let last = first + 2u * (count - 1u);
+    var before = corner_at(last);
+    for (var i = 0u; i < count && has_rounds(); i++) {
+        rounds++;
+        let corner = corner_at(first + 2u * i);
+        let edge = edge_beside(at, before, corner);
+        nearest = min(nearest, edge.x);
+        is_inside = is_inside != (edge.y == 1.0);
+        before = corner;
+    }
+    return select(sqrt(nearest), -sqrt(nearest), is_inside);
+}
+
+// A baked field, closed by the faces of its box; see src/csg/tree/volume_leaf.rs.
+fn volume(at: vec3f, first: u32) -> f32 {
+    let lower = vec3f(numbers[first], numbers[first + 1u], numbers[first + 2u]);
+    let upper = vec3f(numbers[first + 3u], numbers[first + 4u], numbers[first + 5u]);
+    let inverse_spacing = vec3f(numbers[first + 6u], numbers[first + 7u], numbers[first + 8u]);
+    let shape = vec3f(numbers[first + 9u], numbers[first + 10u], numbers[first + 11u]);
+    let scale = numbers[first + 12u];
+    let samples = first + 13u;
+
+    let inside = clamp(at, lower, upper);
+    let away = at - inside;
+    let outside = dot(away, away);
+    let to_faces = max(lower - at, at - upper);
+    let to_face = max(to_faces.x, max(to_faces.y, to_faces.z));
+    let last = shape - 1.0;
+    let grid = clamp((inside - lower) * inverse_spacing - 0.5, vec3f(0.0), last);
+    let cell = min(floor(grid), max(last - 1.0, vec3f(0.0)));
+    let f = grid - cell;
+    let low = vec3u(cell);
+    let high = vec3u(min(cell + 1.0, last));
+    let nx = u32(shape.x);
+    let nxy = nx * u32(shape.y);
+    let y0 = low.y * nx;
+    let y1 = high.y * nx;
+    let z0 = samples + low.z * nxy;
+    let z1 = samples + high.z * nxy;
+    let x00 = mix_exact(numbers[low.x + y0 + z0], numbers[high.x + y0 + z0], f.x);
+    let x10 = mix_exact(numbers[low.x + y1 + z0], numbers[high.x + y1 + z0], f.x);
+    let x01 = mix_exact(numbers[low.x + y0 + z1], numbers[high.x + y0 + z1], f.x);
+    let x11 = mix_exact(numbers[low.x + y1 + z1], numbers[high.x + y1 + z1], f.x);
+    let stored = mix_exact(mix_exact(x00, x10, f.y), mix_exact(x01, x11, f.y), f.z) * scale;
+    let s = max(stored, 0.0);
+    return select(max(stored, to_face), sqrt(outside + s * s), outside > 0.0);
+}
+
+fn mix_exact(a: f32, b: f32, fraction: f32) -> f32 {
+    return a + (b - a) * fraction;
+}
+
+fn corner_at(first: u32) -> vec2f {
+    return vec2f(numbers[first], numbers[first + 1u]);
+}
+
+// Position in the half plane of a solid of revolution: (distance from the z axis - offset, z).
+fn revolved(at: vec3f, offset: f32) -> vec2f {
+    return vec2f(length(at.xy) - offset, at.z);
+}
+
+fn leaf_distance(leaf: u32, p: vec3f) -> f32 {
+    return own_distance(leaf, placed(leaf, p));
+}

@@ -1,7 +1,0 @@
-// Cases that the kernels of beams handle: this variant has all of them. A picture that lacks some imports another
-// variant of this file, see src/scene/kinds.rs.
-
-// Whether the scene has a far field.
-const HAS_FAR: bool = true;
-// Whether some cones are those of occlusion.
-const HAS_WIDE: bool = true;

@@ -1,0 +1,92 @@
+//! The arithmetic of evaluation, for float32 (pictures, grids) and float64 (queries, gradients).
+
+use std::fmt::Debug;
+use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
+
+/// A floating-point number.
+pub trait Scalar:
+    Copy
+    + Debug
+    + Default
+    + PartialOrd
+    + Send
+    + Sync
+    + Add<Output = Self>
+    + AddAssign
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+    + 'static
+{
+    fn of(value: f64) -> Self;
+    fn widen(self) -> f64;
+    fn sqrt(self) -> Self;
+    fn abs(self) -> Self;
+    fn sin(self) -> Self;
+    fn cos(self) -> Self;
+    fn floor(self) -> Self;
+
+    /// Plain comparisons. The standard `min` and `max` handle NaN, which cannot occur here.
+    #[inline(always)]
+    fn least(self, other: Self) -> Self {
+        if self < other { self } else { other }
+    }
+    #[inline(always)]
+    fn most(self, other: Self) -> Self {
+        if self > other { self } else { other }
+    }
+    #[inline(always)]
+    fn between(self, low: Self, high: Self) -> Self {
+        self.most(low).least(high)
+    }
+}
+
+macro_rules! real {
+    ($float:ty) => {
+        impl Scalar for $float {
+            #[inline(always)]
+            fn of(value: f64) -> Self {
+                value as $float
+            }
+            #[inline(always)]
+            fn widen(self) -> f64 {
+                self as f64
+            }
+            #[inline(always)]
+            fn sqrt(self) -> Self {
+                self.sqrt()
+            }
+            #[inline(always)]
+            fn floor(self) -> Self {
+                self.floor()
+            }
+            #[inline(always)]
+            fn abs(self) -> Self {
+                self.abs()
+            }
+            #[inline(always)]
+            fn sin(self) -> Self {
+                self.sin()
+            }
+            #[inline(always)]
+            fn cos(self) -> Self {
+                self.cos()
+            }
+        }
+    };
+}
+real!(f32);
+real!(f64);
+
+/// Length of a vector in the plane.
+#[inline(always)]
+pub(crate) fn length2<F: Scalar>(x: F, y: F) -> F {
+    (x * x + y * y).sqrt()
+}
+
+/// Length of a vector in space.
+#[inline(always)]
+pub(crate) fn length3<F: Scalar>([x, y, z]: [F; 3]) -> F {
+    (x * x + y * y + z * z).sqrt()
+}

@@ -1,0 +1,7 @@
+//! Shapes in postfix form: placements at the leaves, repetitions written out.
+
+pub(crate) mod align;
+pub(crate) mod bounds;
+pub(crate) mod lower;
+pub(crate) mod lowered;
+pub(crate) mod token;

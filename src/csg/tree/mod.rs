@@ -1,0 +1,9 @@
+//! Shapes as users write them: trees of operators over primitives.
+
+pub(crate) mod checks;
+pub(crate) mod language_table;
+pub(crate) mod placement;
+pub(crate) mod primitive;
+pub(crate) mod profile;
+pub(crate) mod shape;
+pub(crate) mod volume_leaf;

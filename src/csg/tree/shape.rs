@@ -1,0 +1,366 @@
+//! The tree that a user builds: immutable, with shared subtrees, of any depth.
+//!
+//! A [`Shape`] is a counted reference to a node. Operators make new nodes over existing ones, so a subtree may occur in
+//! many trees, and several times in one tree. No function recurses: a tree of a hundred thousand levels is built,
+//! traversed and dropped.
+
+use super::checks::{finite, not_negative, positive};
+use super::primitive::Primitive;
+use super::profile::Profile;
+use super::volume_leaf::VolumeLeaf;
+use crate::error::ShapeError;
+use glam::DVec3;
+use std::sync::Arc;
+
+/// A solid: a leaf, or operators over others.
+#[derive(Debug, Clone)]
+pub struct Shape(Arc<ShapeNode>);
+
+#[derive(Debug)]
+pub(crate) struct ShapeNode {
+    pub kind: Kind,
+    pub children: Vec<Shape>,
+    /// Number of leaves with all repetitions written out.
+    leaves: u64,
+    /// As `leaves`, with eight copies for a repetition of more than [`MAX_COPIES`].
+    evaluated: u64,
+}
+
+/// Operation of a node on its children.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Kind {
+    Primitive(Primitive),
+    /// Two children or more, combined from the left.
+    Combine {
+        op: Op,
+        blend: Blend,
+    },
+    Move(DVec3),
+    /// Right-handed rotation about a unit axis through the origin.
+    Rotate {
+        axis: DVec3,
+        degrees: f64,
+    },
+    Scale(f64),
+    /// All points within this distance; a negative distance shrinks the solid.
+    Offset(f64),
+    /// A shell of this thickness about the surface.
+    Shell(f64),
+    /// The child with its field multiplied by this factor.
+    Times(f64),
+    /// The complement of the child.
+    Complement,
+    /// The child, pulled apart at the planes through the origin by this length on each side.
+    Elongate(DVec3),
+    /// The mirror image in the plane through the origin with this unit normal.
+    Reflect(DVec3),
+    /// The union of the child and its mirror image in the plane through the origin with this unit normal.
+    Mirror(DVec3),
+    /// Copies on a lattice about the origin.
+    Repeat {
+        spacing: DVec3,
+        counts: [u32; 3],
+    },
+    /// The child, rotated about z by this number of degrees per unit of z.
+    Twist(f64),
+    /// The child, rotated about z by this number of degrees per unit of x.
+    Bend(f64),
+    /// Linear RGB. `over` replaces colours below; otherwise they stay.
+    Paint {
+        color: [f32; 3],
+        over: bool,
+    },
+    /// The first child, painted inside the second (or outside).
+    Stencil {
+        color: [f32; 3],
+        outside: bool,
+    },
+}
+
+/// Boolean operators.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Op {
+    /// Points inside any of the shapes.
+    Union,
+    /// Points inside all of the shapes.
+    Intersection,
+    /// Points inside the first shape and outside the others.
+    Difference,
+    /// Points inside exactly one of the two shapes.
+    Xor,
+}
+
+/// Shape of a joint.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Blend {
+    /// No blend: the minimum or maximum itself.
+    Sharp,
+    /// A fillet: the field differs from the sharp one where the difference of the operands is below this width.
+    Smooth(f64),
+    /// A flat at 45 degrees that cuts this width off each operand.
+    Chamfer(f64),
+}
+
+/// Largest number of leaves of a shape, with repetitions written out.
+pub(crate) const MAX_LEAVES: u64 = 1 << 20;
+
+/// Repetitions of more copies are evaluated at the copies nearest to a point where that is possible. Few copies are
+/// written out, since decomposition and rays use the boxes of each.
+pub(crate) const MAX_COPIES: u64 = 64;
+
+impl Op {
+    /// All operators.
+    pub const ALL: [Self; 4] = [Self::Union, Self::Intersection, Self::Difference, Self::Xor];
+
+    /// The word of the language and of messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Union => "union",
+            Self::Intersection => "intersection",
+            Self::Difference => "difference",
+            Self::Xor => "xor",
+        }
+    }
+}
+
+impl Blend {
+    /// At most one of the two widths may be above zero.
+    pub fn new(k: f64, chamfer: f64) -> Result<Self, ShapeError> {
+        match (not_negative("k", k)?, not_negative("chamfer", chamfer)?) {
+            (0.0, 0.0) => Ok(Self::Sharp),
+            (k, 0.0) => Ok(Self::Smooth(k)),
+            (0.0, chamfer) => Ok(Self::Chamfer(chamfer)),
+            _ => Err(ShapeError::argument("chamfer", "give either k or chamfer, a joint has one form")),
+        }
+    }
+
+    /// The width, zero for a sharp joint.
+    pub fn width(self) -> f64 {
+        match self {
+            Self::Sharp => 0.0,
+            Self::Smooth(k) | Self::Chamfer(k) => k,
+        }
+    }
+}
+
+impl Kind {
+    /// The name and the arguments from which [`Shape::changed`] makes a change of one shape; `None` for other kinds.
+    pub fn change(&self) -> Option<(&'static str, Vec<f64>)> {
+        Some(match self {
+            Self::Move(by) => ("translate", by.to_array().to_vec()),
+            Self::Rotate { axis, degrees } => ("rotate", vec![axis.x, axis.y, axis.z, *degrees]),
+            Self::Scale(factor) => ("scale", vec![*factor]),
+            Self::Offset(distance) => ("offset", vec![*distance]),
+            Self::Shell(thickness) => ("shell", vec![*thickness]),
+            Self::Times(factor) => ("times", vec![*factor]),
+            Self::Complement => ("complement", Vec::new()),
+            Self::Elongate(half) => ("elongate", half.to_array().to_vec()),
+            Self::Reflect(normal) => ("reflect", normal.to_array().to_vec()),
+            Self::Mirror(normal) => ("mirror", normal.to_array().to_vec()),
+            Self::Repeat { spacing, counts } => ("repeat", [spacing.to_array(), counts.map(f64::from)].concat()),
+            Self::Twist(degrees) => ("twist", vec![*degrees]),
+            Self::Bend(degrees) => ("bend", vec![*degrees]),
+            Self::Paint { color, over: false } => ("paint", color.map(f64::from).to_vec()),
+            Self::Paint { color, over: true } => ("paint_over", color.map(f64::from).to_vec()),
+            Self::Primitive(_) | Self::Combine { .. } | Self::Stencil { .. } => return None,
+        })
+    }
+}
+
+impl Shape {
+    fn node(kind: Kind, children: Vec<Self>) -> Result<Self, ShapeError> {
+        let copies = match &kind {
+            Kind::Mirror(_) => 2,
+            Kind::Repeat { counts, .. } => copies_of(*counts),
+            _ => 1,
+        };
+        let selected = if copies > MAX_COPIES { 8 } else { copies };
+        let below = children.iter().map(|child| child.0.leaves).fold(0, u64::saturating_add).max(1);
+        let leaves = below.saturating_mul(copies);
+        let evaluated = children.iter().map(Self::evaluated_leaves).sum::<u64>().max(1).saturating_mul(selected);
+        if evaluated > MAX_LEAVES {
+            return Err(too_many_leaves());
+        }
+        Ok(Self(Arc::new(ShapeNode { kind, children, leaves, evaluated })))
+    }
+
+    /// A primitive as a shape.
+    pub fn primitive(primitive: Primitive) -> Self {
+        Self(Arc::new(ShapeNode { kind: Kind::Primitive(primitive), children: Vec::new(), leaves: 1, evaluated: 1 }))
+    }
+
+    /// A baked field.
+    pub fn volume(volume: VolumeLeaf) -> Self {
+        Self::primitive(Primitive::Volume(Arc::new(volume)))
+    }
+
+    /// A profile extruded along z, with `height` in total.
+    pub fn extrude(profile: Arc<Profile>, height: f64) -> Result<Self, ShapeError> {
+        let half_height = 0.5 * positive("height", height)?;
+        Ok(Self::primitive(Primitive::Extrude { profile, half_height }))
+    }
+
+    /// A profile revolved about z.
+    pub fn revolve(profile: Arc<Profile>, offset: f64) -> Result<Self, ShapeError> {
+        let offset = finite("offset", offset)?;
+        if profile.reach(offset) <= 0.0 {
+            let problem = format!("the profile lies beyond the axis, nothing is left at x + {offset} > 0");
+            return Err(ShapeError::argument("offset", problem));
+        }
+        Ok(Self::primitive(Primitive::Revolve { profile, offset }))
+    }
+
+    /// Combines shapes by an operator. Fails if there are too few of them.
+    pub fn combine(op: Op, blend: Blend, shapes: Vec<Self>) -> Result<Self, ShapeError> {
+        match shapes.len() {
+            0 => Err(ShapeError::argument("shapes", format!("a {} needs at least one shape", op.name()))),
+            1 => Ok(shapes.into_iter().next().expect("there is one")),
+            _ => Self::node(Kind::Combine { op, blend }, shapes),
+        }
+    }
+
+    /// A change of one shape by its name and numbers in the Python interface.
+    pub fn changed(&self, name: &str, numbers: &[f64]) -> Result<Self, ShapeError> {
+        let vector = |argument, x, y, z| -> Result<DVec3, ShapeError> {
+            Ok(DVec3::new(finite(argument, x)?, finite(argument, y)?, finite(argument, z)?))
+        };
+        let unit = |argument, x, y, z| -> Result<DVec3, ShapeError> {
+            let axis = vector(argument, x, y, z)?;
+            let largest = axis.abs().max_element();
+            if largest == 0.0 {
+                return Err(ShapeError::argument(argument, "is zero, expected a direction"));
+            }
+            Ok((axis / largest).normalize())
+        };
+        let kind = match (name, numbers) {
+            ("translate", &[x, y, z]) => Kind::Move(vector("offset", x, y, z)?),
+            ("rotate", &[x, y, z, degrees]) => {
+                Kind::Rotate { axis: unit("axis", x, y, z)?, degrees: finite("degrees", degrees)? }
+            }
+            ("scale", &[factor]) => {
+                let factor = positive("factor", factor)?;
+                if factor < 1e-30 {
+                    return Err(ShapeError::argument("factor", format!("must be at least 1e-30, got {factor}")));
+                }
+                Kind::Scale(factor)
+            }
+            ("offset", &[distance]) => Kind::Offset(finite("distance", distance)?),
+            ("shell", &[thickness]) => Kind::Shell(positive("thickness", thickness)?),
+            ("times", &[factor]) => {
+                if !(1e-6..=1e6).contains(&factor) {
+                    return Err(ShapeError::argument("factor", format!("must be 1e-6 to 1e6, got {factor}")));
+                }
+                Kind::Times(factor)
+            }
+            ("complement", &[]) => Kind::Complement,
+            ("elongate", &[x, y, z]) => {
+                Kind::Elongate(DVec3::new(not_negative("size", x)?, not_negative("size", y)?, not_negative("size", z)?))
+            }
+            ("reflect", &[x, y, z]) => Kind::Reflect(unit("axis", x, y, z)?),
+            ("mirror", &[x, y, z]) => Kind::Mirror(unit("axis", x, y, z)?),
+            ("repeat", &[x, y, z, nx, ny, nz]) => {
+                Kind::Repeat { spacing: vector("spacing", x, y, z)?, counts: counts([nx, ny, nz])? }
+            }
+            ("twist", &[degrees]) => Kind::Twist(finite("degrees", degrees)?),
+            ("bend", &[degrees]) => Kind::Bend(finite("degrees", degrees)?),
+            ("paint", &[r, g, b]) => Kind::Paint { color: color([r, g, b])?, over: false },
+            ("paint_over", &[r, g, b]) => Kind::Paint { color: color([r, g, b])?, over: true },
+            _ => {
+                let problem = format!("there is no change '{name}' of {} numbers", numbers.len());
+                return Err(ShapeError::argument("name", problem));
+            }
+        };
+        Self::node(kind, vec![self.clone()])
+    }
+
+    /// The shape, painted inside `mask` or outside of it.
+    pub fn stencil(&self, mask: &Self, rgb: [f64; 3], outside: bool) -> Result<Self, ShapeError> {
+        Self::node(Kind::Stencil { color: color(rgb)?, outside }, vec![self.clone(), mask.clone()])
+    }
+
+    /// Replaces the joint at the root.
+    pub fn reblended(&self, blend: Blend) -> Result<Self, ShapeError> {
+        match self.kind() {
+            Kind::Combine { op, .. } => Self::combine(*op, blend, self.children().to_vec()),
+            _ => Err(ShapeError::argument("shape", "has no operator at its root to be made smooth; combine first")),
+        }
+    }
+
+    /// The kind of the node at the root.
+    pub fn kind(&self) -> &Kind {
+        &self.0.kind
+    }
+
+    /// The shapes that the root combines or changes.
+    pub fn children(&self) -> &[Self] {
+        &self.0.children
+    }
+
+    /// Number of leaves, with repetitions written out.
+    pub fn leaf_count(&self) -> u64 {
+        self.0.leaves
+    }
+
+    /// Number of leaves, with eight copies for a repetition of more than [`MAX_COPIES`].
+    pub fn evaluated_leaves(&self) -> u64 {
+        self.0.evaluated
+    }
+}
+
+/// Number of copies of a repetition.
+pub(crate) fn copies_of(counts: [u32; 3]) -> u64 {
+    counts.iter().fold(1, |all: u64, &n| all.saturating_mul(u64::from(n)))
+}
+
+/// The error of a shape with more than [`MAX_LEAVES`] leaves.
+pub(crate) fn too_many_leaves() -> ShapeError {
+    let problem = format!("has more leaves than the limit of {MAX_LEAVES}, with repetitions written out");
+    ShapeError::argument("shape", problem)
+}
+
+/// The numbers of copies along the axes.
+fn counts(numbers: [f64; 3]) -> Result<[u32; 3], ShapeError> {
+    if let Some(n) = numbers.into_iter().find(|&n| !(n >= 1.0 && n.fract() == 0.0 && n <= MAX_LEAVES as f64)) {
+        let problem = format!("must be whole numbers from 1 to {MAX_LEAVES}, got {n}");
+        return Err(ShapeError::argument("counts", problem));
+    }
+    Ok(numbers.map(|n| n as u32))
+}
+
+fn color(rgb: [f64; 3]) -> Result<[f32; 3], ShapeError> {
+    if rgb.iter().all(|c| (0.0..=FAR_COLOR).contains(c)) {
+        return Ok(rgb.map(|c| c as f32));
+    }
+    Err(ShapeError::argument("color", format!("must be three numbers of at least 0, got {rgb:?}")))
+}
+
+const FAR_COLOR: f64 = 1e6;
+
+impl Drop for ShapeNode {
+    /// Drops a tree without recursion: children without other owners are dropped one by one.
+    fn drop(&mut self) {
+        let mut waiting = std::mem::take(&mut self.children);
+        while let Some(shape) = waiting.pop() {
+            if let Some(mut node) = Arc::into_inner(shape.0) {
+                waiting.append(&mut node.children);
+            }
+        }
+    }
+}
+
+/// Compares node by node, without recursion.
+impl PartialEq for Shape {
+    fn eq(&self, other: &Self) -> bool {
+        let mut waiting = vec![(self, other)];
+        while let Some((a, b)) = waiting.pop() {
+            if Arc::ptr_eq(&a.0, &b.0) {
+                continue;
+            }
+            if a.kind() != b.kind() || a.children().len() != b.children().len() {
+                return false;
+            }
+            waiting.extend(a.children().iter().zip(b.children()));
+        }
+        true
+    }
+}

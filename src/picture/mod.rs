@@ -1,0 +1,10 @@
+//! The arrays of a picture, its camera, and the options that pictures of one object have.
+
+pub(crate) mod camera;
+mod frame;
+mod options;
+
+pub use camera::Camera;
+pub use frame::Frame;
+pub(crate) use frame::Row;
+pub use options::{DirectionalLight, Filter, RaymarchOptions, Shadows};

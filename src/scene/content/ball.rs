@@ -1,0 +1,111 @@
+//! Balls around the surfaces of instances.
+
+use super::instance::Instance;
+use crate::scene::fields::field::Field;
+use glam::{DMat3, DVec3, Vec3};
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// Relative margin for the rounding of distances.
+const ROUNDING: f32 = 1e-5;
+
+/// Stands for an infinite radius in a shader; its square is finite.
+const LARGEST_RADIUS: f32 = 1e15;
+
+/// A ball that contains the surface of an instance, scene units.
+#[derive(Debug, Clone, Copy)]
+pub struct Ball {
+    pub center: Vec3,
+    pub radius: f32,
+    /// The radius in field space. The centre is the centre of the surface's box.
+    pub field_radius: f32,
+}
+
+impl Ball {
+    /// The balls of all instances. An instance without a field has a ball of radius 0.
+    pub fn of(instances: &[Instance]) -> Vec<Self> {
+        let mut known: HashMap<usize, (DVec3, f64)> = HashMap::new();
+        instances
+            .iter()
+            .map(|instance| {
+                let Some(field) = &instance.field else {
+                    return Self { center: Vec3::ZERO, radius: 0.0, field_radius: 0.0 };
+                };
+                let (center, radius) =
+                    *known.entry(Arc::as_ptr(field).addr()).or_insert_with(|| surface_ball(field.as_ref()));
+                let center = instance.field_from_scene.inverse().transform_point3(center).as_vec3();
+                // Loose bounds of distances would otherwise make the result depend on the order of the instances.
+                let radius = if field.is_loose() { f32::INFINITY } else { radius as f32 * (1.0 + ROUNDING) };
+                let scale = field.field_from_local().matrix3;
+                let units =
+                    [scale.x_axis, scale.y_axis, scale.z_axis].map(DVec3::length).into_iter().fold(0.0, f64::max);
+                let field_radius =
+                    (radius * units as f32).min(if field.is_loose() { LARGEST_RADIUS } else { field.surface_radius() });
+                Self { center, radius: radius * instance.stretch[1], field_radius }
+            })
+            .collect()
+    }
+}
+
+/// Largest number of halvings of a surface's box in [`surface_ball`]. They give the radius to an eighth of the box.
+const HALVINGS: u32 = 4;
+
+/// Centre in field space and radius in the object's units of a ball that contains the surface.
+///
+/// Cells of the surface's box are halved along all axes, and the cell with the farthest corner comes first. A cell is
+/// dropped if the distance at its centre exceeds its half diagonal by a voxel or more.
+fn surface_ball(field: &dyn Field) -> (DVec3, f64) {
+    let [lower, upper] = field.surface_bounds().map(|corner| corner.as_dvec3());
+    let (center, half) = (0.5 * (lower + upper), 0.5 * (upper - lower));
+    let m = field.field_from_local().inverse().matrix3;
+    let local_from_field = DMat3::from_cols(m.x_axis.abs(), m.y_axis.abs(), m.z_axis.abs());
+    if field.prefers_rays() {
+        // For these objects one distance costs more than the larger ball.
+        let unit = local_from_field.mul_vec3(DVec3::ONE).max_element();
+        return (center, (f64::from(field.surface_radius()) * unit).min((local_from_field * half).length()));
+    }
+    let corner = |middle: DVec3, half: DVec3| (local_from_field * ((middle - center).abs() + half)).length();
+    let mut radius = 0.0f64;
+    let mut cells = vec![(center, 0)];
+    while let Some((middle, halvings)) = cells.pop() {
+        let half = half * 0.5f64.powi(halvings as i32);
+        let furthest = corner(middle, half);
+        let clearance = (local_from_field * half).length() + field.voxel();
+        if furthest <= radius || f64::from(field.distance(middle.as_vec3())) > clearance {
+            continue;
+        }
+        if halvings == HALVINGS {
+            radius = furthest;
+            continue;
+        }
+        let first = cells.len();
+        cells.extend((0..8).map(|i| {
+            let side = |axis: u32| if i >> axis & 1 == 0 { -0.5 } else { 0.5 };
+            (middle + DVec3::new(side(0), side(1), side(2)) * half, halvings + 1)
+        }));
+        cells[first..].sort_by(|a, b| corner(a.0, 0.5 * half).total_cmp(&corner(b.0, 0.5 * half)));
+    }
+    (center, radius)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grid::Grid;
+    use crate::progress::Progress;
+    use crate::scene::fields::field::{DenseField, SampledField};
+
+    #[test]
+    fn the_ball_of_a_sphere_is_nearly_as_small() {
+        let grid = Grid::new(DVec3::splat(-1.5), DVec3::splat(1.5), [48; 3]).unwrap();
+        let samples =
+            (0..grid.len()).map(|i| (grid.center(i % 48, i / 48 % 48, i / 2304).length() - 1.0) as f32).collect();
+        let field = DenseField::new(grid, samples).unwrap();
+        let field = SampledField::new(field, [DVec3::splat(-1.0), DVec3::ONE], &Progress::new()).unwrap();
+        let (center, radius) = surface_ball(&field);
+        assert!((center - 23.5).length() <= 1.0, "{center}");
+        // A cell of an eighth of the box has the diagonal 0.24. Its centre may be half of that and a voxel off the
+        // surface.
+        assert!((1.0..=1.0 + 0.24 + 0.0625).contains(&radius), "{radius}");
+    }
+}

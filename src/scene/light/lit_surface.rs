@@ -1,0 +1,260 @@
+//! A visible surface with the light on it: the rays and cones that its light needs, and their evaluation on the CPU.
+
+use super::light_rays::{LightRay, LightWork, SurfacePoint, basis, disc_point, toward};
+use super::occluder::NearList;
+use super::occlusion::Occluders;
+use super::shadow::Casters;
+use super::transmission;
+use super::transmission::NO_LIGHT;
+use crate::scene::content::model::Scene;
+use crate::scene::content::options::{Light, RenderOptions, SceneShadows, Spot};
+use crate::scene::visibility::gbuffer::{GBuffer, Layer};
+use glam::{DVec3, Vec3};
+
+/// Distance of the start from the surface in voxels. A field's own surface departs from a smooth one by less than an
+/// eighth of a voxel, and half a voxel clears it. A triangle and the field baked from it differ by up to a third of a
+/// voxel more.
+pub(crate) const BIAS_FIELD: f32 = 0.5;
+pub(crate) const BIAS_TRIANGLE: f32 = 1.0;
+
+/// The lights of a picture in scene space.
+#[derive(Debug)]
+pub struct Lights {
+    pub lights: Vec<SceneLight>,
+}
+
+/// A light in scene space.
+#[derive(Debug, Clone, Copy)]
+pub enum SceneLight {
+    /// Unit direction to the light.
+    Directional { to_light: DVec3, color: Vec3, slope: f32 },
+    Point {
+        position: DVec3,
+        color: Vec3,
+        radius: f64,
+        /// Range in scene units, with the number of world units in a scene unit; None without falloff.
+        falloff: Option<[f64; 2]>,
+        spot: Option<Spot>,
+    },
+}
+
+impl Lights {
+    pub fn new(scene: &Scene, options: &RenderOptions) -> Self {
+        let in_scene = |light: &Light| match *light {
+            Light::Directional { direction, color, slope } => {
+                SceneLight::Directional { to_light: -direction.normalize(), color, slope }
+            }
+            Light::Point { position, color, radius, range, spot } => SceneLight::Point {
+                position: scene.scene_from_world(position),
+                color,
+                radius: radius / scene.scale,
+                falloff: range.map(|range| [range / scene.scale, scene.scale]),
+                spot,
+            },
+        };
+        Self { lights: options.lights.iter().map(in_scene).collect() }
+    }
+}
+
+impl SceneLight {
+    /// The ray to the light from a scene point, the light's angular radius as a slope, and its colour at the point.
+    pub fn seen_from(&self, p: DVec3) -> (LightRay, f32, Vec3) {
+        match *self {
+            Self::Directional { to_light, color, slope } => {
+                (LightRay { direction: to_light, t_max: f64::INFINITY }, slope, color)
+            }
+            Self::Point { position, color, radius, falloff, spot } => {
+                let way = position - p;
+                let distance = way.length().max(1e-12);
+                let direction = way / distance;
+                let left = falloff.map_or(1.0, |[range, scale]| share_at(distance, range, scale))
+                    * spot.map_or(1.0, |spot| share_of_cone(&spot, -direction));
+                let color = (left.min(f64::MAX) * color.as_dvec3()).min(DVec3::splat(BRIGHTEST)).as_vec3();
+                (LightRay { direction, t_max: distance }, (radius / distance) as f32, color)
+            }
+        }
+    }
+}
+
+/// Largest colour of a light at a point, so that sums and products with a cosine stay finite in float32.
+const BRIGHTEST: f64 = 1e30;
+
+/// Factor of a light's intensity at a distance below its range, both in scene units of `scale` world units:
+/// `(1 - (d / range)^4) / d^2` with `d` in world units (glTF extension KHR_lights_punctual).
+fn share_at(distance: f64, range: f64, scale: f64) -> f64 {
+    if distance >= range {
+        return 0.0;
+    }
+    let world = distance * scale;
+    (1.0 - (distance / range).powi(4)) / (world * world)
+}
+
+/// Factor of a spot light's intensity in a unit direction: the square of a linear function of the cosine between the
+/// outer and the inner angle (KHR_lights_punctual).
+fn share_of_cone(spot: &Spot, direction: DVec3) -> f64 {
+    let [inner, outer] = spot.cosines;
+    let cosine = spot.axis.dot(direction);
+    if cosine >= inner {
+        1.0
+    } else if cosine <= outer {
+        0.0
+    } else {
+        ((cosine - outer) / (inner - outer)).powi(2)
+    }
+}
+
+/// Rotation of the samples of an area light for each pixel, 0 to 2 pi: interleaved gradient noise (Jimenez, 2014).
+pub(crate) fn pixel_turn(x: usize, y: usize) -> f32 {
+    let value = 52.982_918 * (0.067_110_56 * x as f32 + 0.005_837_15 * y as f32).fract();
+    value.fract() * std::f32::consts::TAU
+}
+
+/// Light on a layer, for writing: the fields of [`crate::scene::lighting::light_buffer::LightSample`].
+pub struct LightSampleMut<'a> {
+    pub open: &'a mut f32,
+    pub shares: &'a mut [f32],
+    pub through: &'a mut [[f32; 3]],
+}
+
+/// A layer in scene space.
+pub struct LitSurface<'a> {
+    pub layer: &'a Layer,
+    pub place: SurfacePoint,
+    pub to_eye: Vec3,
+    /// Rotation of the samples of area lights, radians.
+    pub turn: f32,
+}
+
+impl<'a> LitSurface<'a> {
+    /// A layer of row `y`.
+    pub fn new(scene: &Scene, buffer: &GBuffer, y: usize, layer: &'a Layer) -> Self {
+        let direction = buffer.view.direction(layer.x, y as u32);
+        let place = SurfacePoint {
+            p: scene.scene_from_world(buffer.view.start(layer.x, y as u32) + layer.depth * direction),
+            normal: layer.normal,
+            own: layer.instance,
+            bias_voxels: if layer.is_triangle { BIAS_TRIANGLE } else { BIAS_FIELD },
+            skips_own: false,
+        };
+        let to_eye = -direction.normalize().as_vec3();
+        Self { layer, place, to_eye, turn: pixel_turn(layer.x as usize, y) }
+    }
+
+    /// Cosine between the normal and a ray.
+    pub fn cosine(&self, ray: &LightRay) -> f32 {
+        self.layer.normal.dot(ray.direction.as_vec3())
+    }
+
+    /// Whether a light must be evaluated. A surface that faces away from the light receives none of it.
+    pub fn needs_rays(&self, ray: &LightRay, options: &RenderOptions) -> bool {
+        options.shadows != SceneShadows::None && self.cosine(ray) > 0.0
+    }
+
+    pub fn scatters(&self, scene: &Scene) -> bool {
+        scene.materials[self.layer.material as usize].scattering != [0.0; 3]
+    }
+
+    /// Fraction of a light that arrives, where it is known without evaluation: 1 without shadows, 0 on a surface that
+    /// faces away. Else None.
+    pub fn plain_share(&self, ray: &LightRay, options: &RenderOptions) -> Option<f32> {
+        match options.shadows {
+            SceneShadows::None => Some(1.0),
+            _ if !self.needs_rays(ray, options) => Some(0.0),
+            _ => None,
+        }
+    }
+
+    /// Evaluates the light on the surface in the fields. `near` has for each light the instances that may block it,
+    /// if they are known. Returns the work.
+    pub fn look(
+        &self,
+        casters: &Casters<'_>,
+        near: Option<&[NearList]>,
+        lights: &Lights,
+        options: &RenderOptions,
+        occluders: &mut Occluders,
+        found: &mut LightSampleMut<'_>,
+    ) -> LightWork {
+        let (scene, place, mut work) = (casters.scene, &self.place, LightWork::default());
+        *found.open = match options.occlusion {
+            None => 1.0,
+            Some(distance) => casters.open_share(place, distance / scene.scale, occluders, &mut work),
+        };
+        for (i, light) in lights.lights.iter().enumerate() {
+            let (ray, slope, _) = light.seen_from(place.p);
+            let near = Casters { near: near.map(|near| &near[i]), ..*casters };
+            found.shares[i] = self
+                .plain_share(&ray, options)
+                .unwrap_or_else(|| self.visible_share(&near, place, &ray, slope, options, &mut work));
+            found.through[i] = [0.0; 3];
+            if self.scatters(scene) {
+                let ways = self.ways(&ray, slope, options.shadows);
+                let mut sum = Vec3::ZERO;
+                for (way, slope) in &ways {
+                    let left = self.left(scene, way, casters.length_inside(place, way, &mut work));
+                    sum += match self.plain_visibility(found.shares[i], left, options) {
+                        Some(share) => share * left,
+                        None => {
+                            left * self.visible_share(casters, &self.place_behind(), way, *slope, options, &mut work)
+                        }
+                    };
+                }
+                found.through[i] = (sum / ways.len() as f32).to_array();
+            }
+        }
+        work
+    }
+
+    /// Visible fraction of a light from a place, in the mode of the picture's shadows.
+    fn visible_share(
+        &self,
+        casters: &Casters<'_>,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        slope: f32,
+        options: &RenderOptions,
+        work: &mut LightWork,
+    ) -> f32 {
+        match options.shadows {
+            SceneShadows::None => 1.0,
+            SceneShadows::Hard => casters.ray_share(place, ray, work),
+            SceneShadows::Soft => casters.disc_share(place, ray, slope, work),
+            SceneShadows::Area(count) => casters.area_share(place, ray, slope, count, self.turn, work),
+            SceneShadows::Article => casters.scene.article_share(place, ray, work),
+        }
+    }
+
+    /// The rays along which light passes through the instance, each with the slope of its part of the light: every ray
+    /// of an area light separately, else the ray to the centre with the whole light.
+    pub fn ways(&self, ray: &LightRay, slope: f32, shadows: SceneShadows) -> Vec<(LightRay, f32)> {
+        match shadows {
+            SceneShadows::Area(count) if slope > 0.0 => {
+                let axes = basis(ray.direction);
+                (0..count).map(|i| (toward(ray, axes, slope, disc_point(i, count, self.turn)), 0.0)).collect()
+            }
+            _ => vec![(*ray, slope)],
+        }
+    }
+
+    /// Fraction of the light that remains after a length inside the instance, scene units, times the weight of the
+    /// surface.
+    pub fn left(&self, scene: &Scene, ray: &LightRay, length: f32) -> Vec3 {
+        let scattering = Vec3::from_array(scene.materials[self.layer.material as usize].scattering);
+        transmission::weight(self.cosine(ray)) * transmission::left(length * scene.scale as f32, scattering)
+    }
+
+    /// The visibility of a light behind the instance if it needs no rays: without shadows, where no light remains, and
+    /// where the surface receives all of the light although its own instance can shade it.
+    pub fn plain_visibility(&self, share: f32, left: Vec3, options: &RenderOptions) -> Option<f32> {
+        match options.shadows {
+            SceneShadows::None => Some(1.0),
+            _ if left.max_element() <= NO_LIGHT => Some(0.0),
+            _ => (share >= 1.0).then_some(1.0),
+        }
+    }
+
+    /// The surface point for light through the instance: the instance itself casts no shadow on it.
+    pub fn place_behind(&self) -> SurfacePoint {
+        SurfacePoint { skips_own: true, ..self.place }
+    }
+}

@@ -1,0 +1,85 @@
+//! The instances near a place, for cones and rays that end near it.
+
+use glam::Vec3;
+
+/// Relative margin for the rounding of squared distances.
+const ROUNDING: f32 = 1e-5;
+
+/// The instances that a search found, with the centres and radii of their balls.
+#[derive(Debug, Default)]
+pub struct NearInstances {
+    pub items: Vec<u32>,
+    x: Vec<f32>,
+    y: Vec<f32>,
+    z: Vec<f32>,
+    radius: Vec<f32>,
+}
+
+impl NearInstances {
+    pub fn clear(&mut self) {
+        self.items.clear();
+        let Self { x, y, z, radius, .. } = self;
+        [x, y, z, radius].into_iter().for_each(Vec::clear);
+    }
+
+    /// Adds an instance whose surface lies in a ball.
+    pub fn push(&mut self, item: u32, center: Vec3, radius: f32) {
+        self.items.push(item);
+        self.x.push(center.x);
+        self.y.push(center.y);
+        self.z.push(center.z);
+        self.radius.push(radius);
+    }
+
+    /// The centres of the balls along x, y and z, and their radii.
+    pub fn balls(&self) -> [&[f32]; 4] {
+        [&self.x, &self.y, &self.z, &self.radius]
+    }
+
+    /// Whether a cone of radius `slope` per distance around a unit direction may intersect ball `i`.
+    fn may_intersect(&self, i: usize, p: Vec3, direction: Vec3, slope: f32) -> bool {
+        let (way, radius) = (Vec3::new(self.x[i], self.y[i], self.z[i]) - p, self.radius[i]);
+        let (along, squared) = (way.dot(direction), way.length_squared());
+        // The widest part of the cone that can touch the ball.
+        let radius = radius + slope * (along.max(0.0) + radius);
+        along >= -radius && squared - along * along <= radius * radius + ROUNDING * squared
+    }
+}
+
+/// An instance in a wide cone.
+#[derive(Debug, Clone, Copy)]
+pub struct ConeOccluder {
+    /// Lower bound of the distance, in radii, between the axis and the surface; at most 0 if there is no bound.
+    pub x: f32,
+    /// Index of the instance in [`NearInstances::items`].
+    pub index: u32,
+}
+
+/// The instances beside the axis of a wide cone.
+#[derive(Debug, Clone, Copy)]
+pub struct Beside<'a> {
+    pub nearby: &'a NearInstances,
+    /// All instances that come within one radius of the axis.
+    pub met: &'a [ConeOccluder],
+    /// Radius of the cone per distance.
+    pub slope: f32,
+}
+
+impl Beside<'_> {
+    /// Calls `visit` with each instance that a narrow cone from the apex of the cone may intersect, until `visit`
+    /// returns false. `direction` is the unit direction of its axis, `offset` the tangent of the angle between the
+    /// axes, and `width` its radius for a distance of 1 along the axis of the wide cone.
+    ///
+    /// At the distance `t` along the axis, the narrow cone is `(offset - width) t` to `(offset + width) t` away from
+    /// the axis. It misses an instance whose surface is `x` radii away, if `offset + width < slope x`.
+    pub fn along(&self, p: Vec3, direction: Vec3, offset: f32, width: f32, mut visit: impl FnMut(u32) -> bool) {
+        let length = (1.0 + offset * offset).sqrt();
+        let mut pass =
+            |i: usize| !self.nearby.may_intersect(i, p, direction, width / length) || visit(self.nearby.items[i]);
+        if offset + width < self.slope {
+            self.met.iter().all(|met| offset + width < self.slope * met.x || pass(met.index as usize));
+        } else {
+            (0..self.nearby.items.len()).all(pass);
+        }
+    }
+}

@@ -1,0 +1,380 @@
+//! Ambient occlusion: the open fraction of wide cones over the hemisphere above a surface.
+//!
+//! # Theory
+//!
+//! [`AO_CONES`] cones cover the hemisphere. Each is evaluated like a cone of a soft shadow ([`super::shadow`]), but
+//! only up to a given distance, and without the narrow cones that refine a penumbra.
+//!
+//! A wide cone meets many instances, and the nearest edge alone decides its fraction. So the instances near a place are
+//! gathered once for all of its cones. The surface of each instance lies in a ball. Seen from the place, let the ball
+//! have the radius `r`, the distance `c`, and the angle `A` from the axis of a cone. Its angular radius is `B`, with
+//! `sin B = r / c`. The surface in it therefore passes the axis at
+//!
+//! ```text
+//!   x >= sin(A - B) / slope      in radii of the cone, where A - B < 90 degrees; else it stays out of the cone
+//! ```
+//!
+//! because the balls of radius `slope x t` about the axis fill the cone of half-angle `asin(slope x)`. The instances
+//! are evaluated in the order of these bounds. All instances whose bound is larger than the nearest edge so far are
+//! skipped, which are nearly all.
+//!
+//! The value for one instance is at least its bound and does not depend on the others. Therefore the minimum of all
+//! values does not depend on the order.
+
+use super::cone::{BallAhead, ConeSum, WideCone, clearance};
+use super::light_rays::{LightCone, LightRay, LightWork, SurfacePoint, basis};
+use super::near_instances::{Beside, ConeOccluder, NearInstances};
+use super::occluder::bias;
+use super::shadow::Casters;
+use crate::scene::content::model::Scene;
+use crate::scene::content::tree::Line;
+use crate::simd::with_vectors;
+use glam::Vec3;
+
+/// Cones over a hemisphere: one along the normal and a ring of six.
+pub(crate) const AO_CONES: usize = 7;
+/// Tangent of half the angle of a cone, 30 degrees: seven such cones just cover a hemisphere.
+pub(crate) const AO_SLOPE: f32 = 0.577_350_3;
+/// Cosine and sine of the angle of the ring from the normal: 60 degrees.
+const AO_RING: (f64, f64) = (0.5, 0.866_025_403_784_438_6);
+
+/// Relative margin for the rounding of distances and bounds.
+const ROUNDING: f32 = 1e-5;
+
+impl SurfacePoint {
+    /// The cones over the hemisphere with their weights. Occluders within `distance`, scene units, count.
+    pub fn open_rays(&self, distance: f64) -> impl Iterator<Item = (LightRay, f32)> {
+        let normal = self.normal.as_dvec3();
+        let [right, up] = basis(normal);
+        (0..AO_CONES).map(move |i| {
+            if i == 0 {
+                return (LightRay { direction: normal, t_max: distance }, 1.0);
+            }
+            let angle = (i - 1) as f64 * (std::f64::consts::TAU / (AO_CONES - 1) as f64);
+            let aside = angle.cos() * right + angle.sin() * up;
+            (LightRay { direction: AO_RING.0 * normal + AO_RING.1 * aside, t_max: distance }, AO_RING.0 as f32)
+        })
+    }
+}
+
+/// Neighbouring surfaces share the search for their occluders: a search finds the occluders of all surfaces within this
+/// fraction of its radius.
+const SHARED: f32 = 0.25;
+
+/// The instances that may occlude a place, with the positions of their balls relative to it.
+#[derive(Debug, Default)]
+pub struct Occluders {
+    /// Centre and radius of the last search.
+    around: Option<(Vec3, f32)>,
+    /// The instances that it found.
+    nearby: NearInstances,
+    /// Whether some instances of `nearby` are not opaque solids.
+    is_mixed: bool,
+    /// Vector from the place to the centre of the ball of each nearby instance.
+    way: [Vec<f32>; 3],
+    /// Its squared length `c^2`.
+    squared: Vec<f32>,
+    /// Radius of the ball; 0 if the place is inside it.
+    radius: Vec<f32>,
+    /// Length of the tangent from the place to the ball; 0 inside the ball.
+    tangent: Vec<f32>,
+    /// `slope c^2`. A cone may intersect a ball whose bound is at most this. Below all bounds if no cone from the place
+    /// can intersect the ball.
+    limit: Vec<f32>,
+    /// The instances that the current cone may meet. The evaluated ones are at the end.
+    met: Vec<ConeOccluder>,
+}
+
+/// Where occluders of a place may be, scene units.
+#[derive(Debug, Clone, Copy)]
+struct Region {
+    p: Vec3,
+    /// Direction of the hemisphere.
+    normal: Vec3,
+    /// Largest distance from `p`.
+    reach: f32,
+    /// Largest distance below the plane through `p`.
+    depth: f32,
+}
+
+/// The balls of some instances as seen from a place: see the fields of [`Occluders`].
+struct BallsSeen<'a> {
+    way: [&'a mut [f32]; 3],
+    squared: &'a mut [f32],
+    radius: &'a mut [f32],
+    tangent: &'a mut [f32],
+    limit: &'a mut [f32],
+}
+
+impl BallsSeen<'_> {
+    #[inline(always)]
+    fn update(self, [x, y, z, radii]: [&[f32]; 4], region: &Region) {
+        let Region { p, normal, reach, depth } = *region;
+        let n = radii.len();
+        let [way_x, way_y, way_z] = self.way.map(|along| &mut along[..n]);
+        let (squared, radius, tangent) = (&mut self.squared[..n], &mut self.radius[..n], &mut self.tangent[..n]);
+        let (limit, x, y, z) = (&mut self.limit[..n], &x[..n], &y[..n], &z[..n]);
+        for i in 0..n {
+            let way = [x[i] - p.x, y[i] - p.y, z[i] - p.z];
+            let c_squared = way[0] * way[0] + way[1] * way[1] + way[2] * way[2];
+            let height = way[0] * normal.x + way[1] * normal.y + way[2] * normal.z;
+            let farthest = reach + radii[i];
+            let is_near = (height + radii[i] >= -depth) & (c_squared <= farthest * farthest);
+            let tangent_squared = c_squared - radii[i] * radii[i];
+            // Inside a ball all values are 0, and so is the bound.
+            let is_outside = tangent_squared > ROUNDING * c_squared;
+            (way_x[i], way_y[i], way_z[i]) = (way[0], way[1], way[2]);
+            squared[i] = c_squared;
+            radius[i] = if is_outside { radii[i] } else { 0.0 };
+            tangent[i] = if is_outside { tangent_squared.sqrt() } else { 0.0 };
+            limit[i] = if is_near { AO_SLOPE * c_squared } else { f32::NEG_INFINITY };
+        }
+    }
+}
+
+/// Number of balls that are bounded together.
+const LANES: usize = 8;
+
+/// Balls as seen from a place, for reading: see the fields of [`Occluders`]. Their number is a multiple of [`LANES`].
+struct BallBounds<'a> {
+    way: [&'a [f32]; 3],
+    squared: &'a [f32],
+    radius: &'a [f32],
+    tangent: &'a [f32],
+    limit: &'a [f32],
+}
+
+impl BallBounds<'_> {
+    /// Appends the balls that a cone with this axis may meet to `met`.
+    #[inline(always)]
+    fn meet(&self, axis: Vec3, met: &mut Vec<ConeOccluder>) {
+        let Self { way: [x, y, z], squared, radius, tangent, limit } = self;
+        let [x, y, z] = [x.as_chunks::<LANES>().0, y.as_chunks().0, z.as_chunks().0];
+        let [squared, radius] = [squared.as_chunks::<LANES>().0, radius.as_chunks().0];
+        let [tangent, limit] = [tangent.as_chunks::<LANES>().0, limit.as_chunks().0];
+        let balls = x.iter().zip(y).zip(z).zip(squared).zip(radius).zip(tangent).zip(limit);
+        for (chunk, ((((((x, y), z), squared), radius), tangent), limit)) in balls.enumerate() {
+            // Lower bounds of the distance between the axis and the ball, times `slope c^2`.
+            let mut bounds = [0.0f32; LANES];
+            let mut mask = 0u32;
+            for i in 0..LANES {
+                let along = x[i] * axis.x + y[i] * axis.y + z[i] * axis.z;
+                let aside_squared = squared[i] - along * along;
+                let aside = (if aside_squared > 0.0 { aside_squared } else { 0.0 }).sqrt();
+                // Sine and cosine of A - B, each times c^2.
+                let sine = aside * tangent[i] - along * radius[i];
+                let cosine = along * tangent[i] + aside * radius[i];
+                let is_behind = cosine < -ROUNDING * squared[i];
+                bounds[i] = if is_behind { f32::INFINITY } else { sine - ROUNDING * squared[i] };
+                mask |= u32::from(bounds[i] <= limit[i]) << i;
+            }
+            while mask != 0 {
+                let i = mask.trailing_zeros() as usize;
+                mask &= mask - 1;
+                // Inside a ball both are 0, and there is no bound.
+                let x = if tangent[i] > 0.0 { bounds[i] / limit[i] } else { -1.0 };
+                met.push(ConeOccluder { x, index: (LANES * chunk + i) as u32 });
+            }
+        }
+    }
+}
+
+impl Occluders {
+    /// Relates the balls of the nearby instances to a place.
+    fn relate(&mut self, region: &Region) {
+        let n = self.nearby.items.len();
+        let Self { nearby, way: [x, y, z], squared, radius, tangent, limit, .. } = self;
+        for values in [&mut *x, y, z, squared, radius, tangent] {
+            values.resize(n.next_multiple_of(LANES), 0.0);
+        }
+        limit.clear();
+        limit.resize(n.next_multiple_of(LANES), f32::NEG_INFINITY);
+        let seen = BallsSeen { way: [x, y, z], squared, radius, tangent, limit };
+        with_vectors!((seen: BallsSeen<'_> = seen, balls: [&[f32]; 4] = nearby.balls(), region: &Region = region) {
+            seen.update(balls, region)
+        })
+    }
+
+    /// Finds the instances that a cone may meet.
+    fn meet(&mut self, axis: Vec3) {
+        let Self { way: [x, y, z], squared, radius, tangent, limit, met, .. } = self;
+        met.clear();
+        let balls = BallBounds { way: [x, y, z], squared, radius, tangent, limit };
+        with_vectors!((balls: BallBounds<'_> = balls, axis: Vec3 = axis, met: &mut Vec<ConeOccluder> = met) {
+            balls.meet(axis, met)
+        })
+    }
+}
+
+/// Moves the instance with the smallest bound to the end and returns it. A cone evaluates few of the instances, so they
+/// are not sorted.
+fn take_nearest(waiting: &mut [ConeOccluder]) -> Option<ConeOccluder> {
+    let last = waiting.len().checked_sub(1)?;
+    let mut nearest = 0;
+    for (i, met) in waiting.iter().enumerate() {
+        if met.x < waiting[nearest].x {
+            nearest = i;
+        }
+    }
+    waiting.swap(nearest, last);
+    Some(waiting[last])
+}
+
+impl Casters<'_> {
+    /// Fraction of the hemisphere above a place that no occluder within `distance`, scene units, covers.
+    pub fn open_share(
+        &self,
+        place: &SurfacePoint,
+        distance: f64,
+        occluders: &mut Occluders,
+        work: &mut LightWork,
+    ) -> f32 {
+        self.gather(place, distance, occluders);
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for (ray, weight) in place.open_rays(distance) {
+            let past_sheets = self.scene.cone_past_sheets(place, &ray, AO_SLOPE, work);
+            if past_sheets > 0.0 {
+                sum += weight * past_sheets * self.wide_share(place, &ray, occluders, work);
+            }
+            weights += weight;
+        }
+        sum / weights
+    }
+
+    /// Gathers the instances that cones over the hemisphere above a place may meet.
+    ///
+    /// A cone ends at `distance` with the radius `slope distance`. So it meets no surface beyond
+    /// `distance (1 + slope)`, and no surface below the lowest point of the balls about the axes of the ring.
+    pub fn gather(&self, place: &SurfacePoint, distance: f64, occluders: &mut Occluders) {
+        let Scene { tree, instances, .. } = self.scene;
+        let p = place.p.as_vec3();
+        let reach = distance as f32 * (1.0 + AO_SLOPE) * (1.0 + ROUNDING);
+        let depth = distance as f32 * (AO_SLOPE - AO_RING.0 as f32) + ROUNDING * reach;
+        let balls = self.scene.balls();
+        if !occluders.around.is_some_and(|(center, radius)| radius == reach && center.distance(p) <= SHARED * reach) {
+            occluders.around = Some((p, reach));
+            occluders.nearby.clear();
+            tree.near(p, (1.0 + SHARED + ROUNDING) * reach, |item| {
+                let instance = &instances[item as usize];
+                let is_solid = !instance.is_sheet && instance.field.is_some();
+                if is_solid && instance.casts_shadow && instance.shade > 0.0 {
+                    let ball = &balls[item as usize];
+                    occluders.nearby.push(item, ball.center, ball.radius);
+                }
+            });
+            occluders.is_mixed = occluders.nearby.items.iter().any(|&item| !instances[item as usize].is_opaque_solid());
+        }
+        occluders.relate(&Region { p, normal: place.normal, reach, depth });
+    }
+
+    /// Fraction of the section of a cone of slope [`AO_SLOPE`] that passes the occluders of its place, if edges in it
+    /// are straight.
+    pub fn wide_share(
+        &self,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        occluders: &mut Occluders,
+        work: &mut LightWork,
+    ) -> f32 {
+        let slope = AO_SLOPE;
+        let cone = LightCone { place, ray, slope };
+        let direction = ray.direction.as_vec3();
+        let split = self.split(place, ray, slope);
+        let reach = self.reach(&split, ray);
+        let line = Line::cone(place.p.as_vec3(), direction, slope);
+        occluders.meet(direction);
+        let Occluders { nearby, is_mixed, way: [x, y, z], squared, met, .. } = occluders;
+        let mut sum = ConeSum::NEW;
+        let mut waiting = met.len();
+        while let Some(nearest) = take_nearest(&mut met[..waiting]) {
+            if nearest.x >= sum.opaque.x && !*is_mixed {
+                break;
+            }
+            waiting -= 1;
+            let i = nearest.index as usize;
+            let item = nearby.items[i];
+            let instance = &self.scene.instances[item as usize];
+            let x_known = sum.x_known(instance);
+            let bounds = &self.scene.boxes[item as usize];
+            if nearest.x >= x_known || line.span(bounds.min, bounds.max, reach).is_none() {
+                continue;
+            }
+            // The own field is evaluated from a point that is moved off the surface.
+            let moved = if item == place.own { bias(instance, place) } else { 0.0 };
+            let ball = BallAhead {
+                along: Vec3::new(x[i], y[i], z[i]).dot(direction),
+                squared: squared[i],
+                radius: self.scene.balls()[item as usize].radius + moved,
+            };
+            let wide = WideCone { beside: Beside { nearby, met, slope }, least_x: nearest.x, ball };
+            let mut found = 1.0f32;
+            for caster in self.casters(item, place, ray, &split) {
+                found = found.min(self.add_cone(&caster, cone, x_known, Some(&wide), &mut sum, work).x);
+            }
+            if sum.opaque.x <= -1.0 {
+                break;
+            }
+            // Behind the start of a far field a cone and a ray in it end at different positions.
+            if self.far.is_none() {
+                met[waiting].x = nearest.x.max(clearance(found.min(x_known)));
+            }
+        }
+        let wide = WideCone { beside: Beside { nearby, met, slope }, least_x: -1.0, ball: BallAhead::ENDLESS };
+        let is_far = self.add_far(&split, cone, Some(&wide), &mut sum, work);
+        work.count(is_far);
+        sum.share().share
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn vector() -> impl Strategy<Value = Vec3> {
+        (-1.0..1.0f32, -1.0..1.0f32, -1.0..1.0f32).prop_map(|(x, y, z)| Vec3::new(x, y, z))
+    }
+
+    proptest! {
+        /// The distance of a ball from the axis of a cone is never less than its bound, and all balls that a cone meets
+        /// are found.
+        #[test]
+        fn bounds_hold(centers in prop::collection::vec((vector(), 0.01..0.8f32), 1..20), p in vector(), way in vector()) {
+            prop_assume!(way.length() > 0.01);
+            let direction = way.normalize();
+            let mut occluders = Occluders::default();
+            for (i, &(center, radius)) in centers.iter().enumerate() {
+                occluders.nearby.push(i as u32, center, radius);
+            }
+            let everywhere = Region { p, normal: Vec3::Z, reach: 1e3, depth: 1e3 };
+            occluders.relate(&everywhere);
+            occluders.meet(direction);
+            for (i, &(center, radius)) in centers.iter().enumerate() {
+                let x_at = |t: f32| ((center - p - t * direction).length() - radius) / (AO_SLOPE * t);
+                let nearest = (1..2000).map(|i| x_at(i as f32 * 0.003)).fold(f32::INFINITY, f32::min);
+                match occluders.met.iter().find(|met| met.index as usize == i) {
+                    Some(met) => prop_assert!(met.x <= nearest.max(-1.0) + 1e-4, "{met:?} {nearest}"),
+                    None => prop_assert!(nearest >= 1.0 - 1e-4, "{nearest}"),
+                }
+            }
+            // `Beside::along` visits every ball that a narrow cone off the axis intersects.
+            let offset = 0.9 * AO_SLOPE;
+            let past = (direction + offset * direction.any_orthonormal_vector()).normalize();
+            let mut visited = Vec::new();
+            let beside = Beside { nearby: &occluders.nearby, met: &occluders.met, slope: AO_SLOPE };
+            beside.along(p, past, offset, 0.1, |item| { visited.push(item as usize); true });
+            for (i, &(center, radius)) in centers.iter().enumerate() {
+                let t = (center - p).dot(past).max(0.0);
+                let width = 0.1 * t / (1.0 + offset * offset).sqrt();
+                prop_assert!(visited.contains(&i) || (center - p - t * past).length() >= (radius + width) * (1.0 - 1e-3));
+            }
+            let (mut least, mut waiting) = (f32::NEG_INFINITY, occluders.met.len());
+            while let Some(met) = take_nearest(&mut occluders.met[..waiting]) {
+                prop_assert!(met.x >= least);
+                least = met.x;
+                waiting -= 1;
+            }
+            prop_assert_eq!(waiting, 0);
+        }
+    }
+}

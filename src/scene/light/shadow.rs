@@ -1,0 +1,506 @@
+//! The fraction of a light that arrives: rays and cones through the distance fields of a scene.
+//!
+//! # Theory
+//!
+//! *Hard.* A ray from the surface to the light searches the tree of instances. In each field it is traced exactly
+//! ([`crate::march::marcher`]), so neither an epsilon nor a step count decides. Translucent instances block their
+//! fraction.
+//!
+//! *Soft.* As seen from the surface, a light is a disc of angular radius `w`. Suppose the edge of an occluder passes
+//! the centre of the disc at the signed angle `x w`, and is straight over the disc. Then the fraction
+//! [`super::cone::visible_share`] of the disc is visible, which is the part of a disc on one side of a chord: fully lit
+//! from x = 1, dark from x = -1, and one half on the hard edge. The smallest `d / (w t)` along the ray is that x
+//! (Aaltonen, GDC 2018, after Quilez). Near a surface the step is a fraction of `d` here; Aaltonen estimates the value
+//! between two steps instead.
+//!
+//! One cone to the whole disc decides most surfaces by proof: free if no surface enters it, dark if a ball inside an
+//! occluder covers it. The remaining surfaces, in penumbrae and in the shade of thin objects, are evaluated by
+//! [`PARTS`] narrow cones that divide the disc evenly, in which edges are straight enough.
+//!
+//! Steps of the stored distance also prove that the axis is free. Only where they become shorter than half a voxel, or
+//! an edge ends the walk, is the rest of the axis traced exactly. A field whose values [may exceed the
+//! distance](crate::scene::fields::field::Field::may_exceed_distance) has its axes traced from their start. Tiles of
+//! pixels ([`crate::scene::lighting::tile`]) skip a field by its values only if those change no faster than a distance.
+//! So shadows end at the surface of any values.
+//!
+//! If the axis itself is blocked, the depth inside gives the distance of the edge only if there is an edge: the middle
+//! of a thin wall is as shallow as its rim. Rays just beyond the presumed edge are therefore evaluated, in
+//! [`EDGE_DIRECTIONS`](crate::gpu::constants::scene_beams::EDGE_DIRECTIONS) around the axis. The edge counts in
+//! proportion to the largest clearance of these rays from this occluder and from all opaque ones.
+//! So the result changes continuously where an edge comes close to other parts, and where the axis passes the middle of
+//! a rod. Closed walls do not leak light, at any thickness and in any number of parts.
+//!
+//! *Bias.* Only the surface's own instance needs a bias, because its field and its triangles differ by a fraction of a
+//! voxel: the ray starts a number of voxels off the surface. No constant is in world units, so the scale of the scene
+//! has no effect. Other instances touch the surface without a gap.
+
+use super::cone::{Cone, ConeShare, ConeSum, ConeWalk, Decision, RayPast, WideCone};
+use super::far_field::{Far, FarLevel, Split};
+use super::light_rays::{LightCone, LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
+use super::occluder::{NearList, Occluder, ray_in_field};
+use crate::gpu::constants::scene_beams::END_FADE;
+use crate::scene::content::model::Scene;
+use crate::scene::content::tree::Line;
+use crate::scene::fields::field::FieldHit;
+
+/// The occluders of a picture: the instances of a scene and, past a distance, one far field for all of them
+/// ([`super::far_field`]).
+#[derive(Clone, Copy)]
+pub struct Casters<'a> {
+    pub scene: &'a Scene,
+    pub far: Option<&'a Far>,
+    /// The instances that may block the light that is evaluated; `None` if all may.
+    pub near: Option<&'a NearList>,
+}
+
+impl<'a> Casters<'a> {
+    /// Fraction of a thin ray that passes fields and sheets.
+    pub fn ray_share(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
+        let past_sheets = self.scene.ray_past_sheets(place, ray, work);
+        if past_sheets == 0.0 {
+            return 0.0;
+        }
+        past_sheets * self.field_share(place, ray, work)
+    }
+
+    /// Fraction of a thin ray that passes the fields.
+    pub fn field_share(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
+        let (share, is_far) = self.pass_ray(place, ray, work);
+        work.count(is_far);
+        share
+    }
+
+    /// Decides whether a cone is completely lit or dark. Only then the result is proven, and its fraction is exact.
+    /// `met` becomes the list of instances in the cone.
+    pub fn whole_cone(&self, cone: LightCone<'_>, met: &mut Vec<u32>, work: &mut LightWork) -> ConeShare {
+        let LightCone { place, ray, slope } = cone;
+        met.clear();
+        let split = self.split(place, ray, slope);
+        let mut sum = ConeSum::NEW;
+        self.walk(cone, &split, |item, limit| {
+            let mut x = 1.0f32;
+            for caster in self.casters(item, place, ray, &split) {
+                x = x.min(self.decide_cone(&caster, cone, &mut sum, work).x);
+            }
+            if x < 1.0 {
+                met.push(item);
+            }
+            if sum.opaque.is_covered { -1.0 } else { limit }
+        });
+        let is_far = split.far.is_some() && !sum.opaque.is_covered;
+        if is_far {
+            for far in self.far_casters(&split, place, ray) {
+                self.decide_cone(&far, cone, &mut sum, work);
+                if sum.opaque.is_covered {
+                    break;
+                }
+            }
+        }
+        work.count(is_far);
+        sum.share()
+    }
+
+    /// Calls `visit` with the instances whose boxes a cone touches, near ones first, as
+    /// [`crate::scene::content::tree::Tree::walk`] does.
+    fn walk(&self, cone: LightCone<'_>, split: &Split, mut visit: impl FnMut(u32, f32) -> f32) {
+        let line = Line::cone(cone.place.p.as_vec3(), cone.ray.direction.as_vec3(), cone.slope);
+        let mut pass = |item: u32, limit: f32| {
+            if line.touches(&self.scene.boxes[item as usize], limit) { visit(item, limit) } else { limit }
+        };
+        let reach = self.reach(split, cone.ray);
+        match self.near {
+            None => self.scene.tree.walk(&line, reach, pass),
+            Some(near) => {
+                let visit = |limit, item| Some(pass(item, limit)).filter(|limit| *limit >= 0.0);
+                if cone.slope == 0.0 {
+                    near.for_ray().try_fold(reach, visit);
+                } else {
+                    near.for_cone().try_fold(reach, visit);
+                }
+            }
+        }
+    }
+
+    /// Adds the far field to the results of a cone; `wide` is set for a cone of occlusion. Returns whether the far
+    /// field was evaluated.
+    pub fn add_far(
+        &self,
+        split: &Split,
+        cone: LightCone<'_>,
+        wide: Option<&WideCone<'_>>,
+        sum: &mut ConeSum,
+        work: &mut LightWork,
+    ) -> bool {
+        let is_far = split.far.is_some() && sum.opaque.x > -1.0;
+        if is_far {
+            for far in self.far_casters(split, cone.place, cone.ray) {
+                let x_known = sum.opaque.x;
+                self.add_cone(&far, cone, x_known, wide, sum, work);
+                if sum.opaque.x <= -1.0 {
+                    break;
+                }
+            }
+        }
+        is_far
+    }
+
+    /// Adds one occluder to the results of a cone; `wide` is set for a cone of occlusion. Returns the result for this
+    /// occluder. For an occluder that is tested by thin rays, returns only whether the cone may touch it.
+    pub fn add_cone(
+        &self,
+        caster: &Occluder<'_>,
+        cone: LightCone<'_>,
+        x_known: f32,
+        wide: Option<&WideCone<'_>>,
+        sum: &mut ConeSum,
+        work: &mut LightWork,
+    ) -> Cone {
+        if let Some(found) = self.add_thin(caster, cone, sum, work) {
+            return found;
+        }
+        let found = match wide {
+            Some(wide) => self.wide_cone_past(caster, cone, wide, x_known, work),
+            None => self.cone_past(caster, cone, x_known, work),
+        };
+        sum.add(caster.instance, found);
+        found
+    }
+
+    /// Adds an occluder that is tested by thin rays. `None` for all others.
+    fn add_thin(
+        &self,
+        caster: &Occluder<'_>,
+        LightCone { place, ray, slope }: LightCone<'_>,
+        sum: &mut ConeSum,
+        work: &mut LightWork,
+    ) -> Option<Cone> {
+        work.steps += 1;
+        if !caster.field.prefers_rays() {
+            return None;
+        }
+        if !caster.may_meet(place, ray, slope) {
+            return Some(Cone::FREE);
+        }
+        sum.thin.block(caster.instance.shade, ray, slope, |thin| self.hit_of(caster, place, thin, work).is_some());
+        Some(Cone { x: 0.0, is_covered: false })
+    }
+
+    /// Adds one occluder to the results of a cone to the whole light. The edge is known only as -1, 0 or 1 radii: the
+    /// occluder covers the cone, leaves it free, or neither.
+    fn decide_cone(&self, caster: &Occluder<'_>, cone: LightCone<'_>, sum: &mut ConeSum, work: &mut LightWork) -> Cone {
+        if let Some(found) = self.add_thin(caster, cone, sum, work) {
+            return found;
+        }
+        let Some(walk) = caster.cone_walk(cone, 1.0) else { return Cone::FREE };
+        let mut steps = 0;
+        let found = match walk.decide(&mut steps, |from| self.walk_hit(caster, &walk, from, work)) {
+            Decision::Free => Cone::FREE,
+            Decision::Blocked(t) if walk.inside(t, None, &mut steps).0 <= -1.0 => Cone::COVERED,
+            _ => Cone { x: 0.0, is_covered: false },
+        };
+        work.steps += steps;
+        sum.add(caster.instance, found);
+        found
+    }
+
+    /// Fraction of a disc of light that passes fields and sheets: angular radius `slope`, `ray` to its centre.
+    pub fn disc_share(&self, place: &SurfacePoint, ray: &LightRay, slope: f32, work: &mut LightWork) -> f32 {
+        if slope <= 0.0 {
+            return self.ray_share(place, ray, work);
+        }
+        let past_sheets = self.scene.disc_past_sheets(place, ray, slope, work);
+        let sheets_share = past_sheets.iter().sum::<f32>() / PARTS as f32;
+        if sheets_share == 0.0 {
+            return 0.0;
+        }
+        let mut met = Vec::new();
+        let whole = self.whole_cone(LightCone { place, ray, slope }, &mut met, work);
+        if whole.is_proven {
+            return whole.share * sheets_share;
+        }
+        // An instance outside the whole cone is outside its parts.
+        let part = slope / (PARTS as f32).sqrt();
+        let axes = basis(ray.direction);
+        let mut total = 0.0;
+        for (i, sheets_part) in (0..PARTS).zip(past_sheets) {
+            let to_part = toward(ray, axes, slope, disc_point(i, PARTS, 0.0));
+            let cone = LightCone { place, ray: &to_part, slope: part };
+            total += self.cone_share(cone, &met, work) * sheets_part;
+        }
+        total / PARTS as f32
+    }
+
+    /// The instances whose boxes a cone touches.
+    pub fn instances_in(&self, cone: LightCone<'_>) -> Vec<u32> {
+        let mut met = Vec::new();
+        self.walk(cone, &self.split(cone.place, cone.ray, cone.slope), |item, limit| {
+            met.push(item);
+            limit
+        });
+        met
+    }
+
+    /// Fraction of a narrow cone's section that passes some instances and the far field.
+    pub fn cone_share(&self, cone: LightCone<'_>, met: &[u32], work: &mut LightWork) -> f32 {
+        let split = self.split(cone.place, cone.ray, cone.slope);
+        let mut sum = ConeSum::NEW;
+        for &item in met {
+            let x_known = sum.x_known(&self.scene.instances[item as usize]);
+            for caster in self.casters(item, cone.place, cone.ray, &split) {
+                self.add_cone(&caster, cone, x_known, None, &mut sum, work);
+            }
+            if sum.opaque.x <= -1.0 {
+                break;
+            }
+        }
+        let is_far = self.add_far(&split, cone, None, &mut sum, work);
+        work.count(is_far);
+        sum.share().share
+    }
+
+    /// [`Self::disc_share`] by `count` thin rays.
+    pub fn area_share(
+        &self,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        slope: f32,
+        count: u32,
+        turn: f32,
+        work: &mut LightWork,
+    ) -> f32 {
+        if slope <= 0.0 {
+            return self.ray_share(place, ray, work);
+        }
+        let axes = basis(ray.direction);
+        let mut sum = 0.0;
+        for i in 0..count {
+            sum += self.ray_share(place, &toward(ray, axes, slope, disc_point(i, count, turn)), work);
+        }
+        sum / count as f32
+    }
+
+    /// Fraction of a thin ray, and whether it entered the far field.
+    fn pass_ray(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> (f32, bool) {
+        let split = self.split(place, ray, 0.0);
+        let mut share = 1.0;
+        self.walk(LightCone { place, ray, slope: 0.0 }, &split, |item, limit| {
+            for caster in self.casters(item, place, ray, &split) {
+                work.steps += 1;
+                if self.hit_of(&caster, place, ray, work).is_some() {
+                    share *= 1.0 - caster.instance.shade;
+                    if let Some(near) = self.near.filter(|_| caster.instance.shade >= 1.0) {
+                        near.set_last(item);
+                    }
+                    break;
+                }
+            }
+            if share > 0.0 { limit } else { -1.0 }
+        });
+        let is_far = split.far.is_some() && share > 0.0;
+        if is_far && self.far_casters(&split, place, ray).any(|far| self.hit_of(&far, place, ray, work).is_some()) {
+            share = 0.0;
+        }
+        (share, is_far)
+    }
+
+    /// The intervals of a ray or cone for the instances and for the far field.
+    pub fn split(&self, place: &SurfacePoint, ray: &LightRay, slope: f32) -> Split {
+        let far = self.far.filter(|_| !place.skips_own);
+        far.map_or(Split::near(ray.t_max), |far| far.split(place, ray, slope))
+    }
+
+    /// Length of the search through the instances.
+    pub fn reach(&self, split: &Split, ray: &LightRay) -> f32 {
+        let is_near = split.rest.is_none() && self.far.is_none_or(|far| far.holds_all);
+        (if is_near { split.near } else { ray.t_max }) as f32
+    }
+
+    /// An instance on the intervals of a ray in which it is evaluated.
+    pub fn casters(
+        &self,
+        item: u32,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        split: &Split,
+    ) -> impl Iterator<Item = Occluder<'a>> {
+        let instance = &self.scene.instances[item as usize];
+        let casts = !instance.is_sheet && instance.casts_shadow && instance.shade > 0.0;
+        let field = instance.field.as_deref().filter(|_| casts);
+        // A field of distances contains opaque solids only.
+        let (near, rest) = if instance.is_opaque_solid() { (split.near, split.rest) } else { (ray.t_max, None) };
+        let bounds = &self.scene.boxes[item as usize];
+        let is_own = item == place.own;
+        let field = field.filter(|_| !(is_own && place.skips_own));
+        let parts = [Some([0.0, near]), rest.map(|rest| [rest, ray.t_max])].into_iter().flatten();
+        parts.filter_map(move |part| Some(Occluder { instance, field: field?, bounds, part, is_own, skip: 0.0 }))
+    }
+
+    /// The levels of the far field on their pieces of a ray.
+    fn far_casters(
+        &self,
+        split: &Split,
+        place: &'a SurfacePoint,
+        ray: &'a LightRay,
+    ) -> impl Iterator<Item = Occluder<'a>> {
+        let start = split.far.map_or(0.0, |far| far[0]);
+        let pieces = self.far.zip(split.far).into_iter().flat_map(move |(far, part)| far.pieces(part, place, ray));
+        pieces.filter_map(move |(level, part)| {
+            let FarLevel { instance, bounds, voxel } = level;
+            let skip = if part[0] == start { *voxel } else { 0.0 };
+            Some(Occluder { instance, field: instance.field.as_deref()?, bounds, part, is_own: false, skip })
+        })
+    }
+
+    /// The position at which a ray enters an occluder, scene units.
+    fn hit_of(&self, caster: &Occluder<'_>, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> Option<f32> {
+        self.hit_from(caster, place, ray, caster.part[0], work).map(|hit| hit.t)
+    }
+
+    /// The first hit of a ray with an occluder at `from` or later, scene units.
+    pub fn hit_from(
+        &self,
+        caster: &Occluder<'_>,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        from: f64,
+        work: &mut LightWork,
+    ) -> Option<FieldHit> {
+        let in_field = ray_in_field(caster.instance, caster.is_own, place, ray);
+        caster.hit_in_field(in_field, from, work)
+    }
+
+    /// The position at which the axis of a cone enters an occluder at `from` or later, where the walk has found no
+    /// surface before.
+    fn walk_hit(&self, caster: &Occluder<'_>, walk: &ConeWalk<'_>, from: f32, work: &mut LightWork) -> Option<f32> {
+        // If an occluder is entered at its first point, the length to skip is measured from there.
+        let from = if caster.skip > 0.0 { caster.part[0] } else { f64::from(from) };
+        caster.hit_in_field(walk.ray, from, work).map(|hit| hit.t)
+    }
+
+    /// Evaluates a cone of radius `slope t` past one occluder. Only edges closer to the axis than `x_known` are
+    /// relevant.
+    fn cone_past(&self, caster: &Occluder<'_>, cone: LightCone<'_>, x_known: f32, work: &mut LightWork) -> Cone {
+        let Some(walk) = caster.cone_walk(cone, x_known) else { return Cone::FREE };
+        let mut steps = 0;
+        let found = walk.beside(x_known, &mut steps, |from| self.walk_hit(caster, &walk, from, work));
+        work.steps += steps;
+        match found {
+            Ok(x) => Cone { x, is_covered: false },
+            Err(t) => self.blocked_cone(caster, &walk, t, cone, None, work),
+        }
+    }
+
+    /// Evaluates a wide cone of occlusion past one occluder in fewer steps: see [`ConeWalk::beside_wide`].
+    fn wide_cone_past(
+        &self,
+        caster: &Occluder<'_>,
+        cone: LightCone<'_>,
+        wide: &WideCone<'_>,
+        x_known: f32,
+        work: &mut LightWork,
+    ) -> Cone {
+        let Some(walk) = caster.cone_walk(cone, 1.0) else { return Cone::FREE };
+        let mut steps = 0;
+        let hit_from = |from| caster.hit_in_field(walk.ray, f64::from(from), work).map(|hit| hit.t);
+        let found = walk.beside_wide(wide, x_known, &mut steps, hit_from);
+        work.steps += steps;
+        match found {
+            Ok(x) => Cone { x: x.max(wide.least_x), is_covered: false },
+            Err(t) => self.blocked_cone(caster, &walk, t, cone, Some(wide), work),
+        }
+    }
+
+    /// Evaluates a cone whose axis enters an occluder at `t_hit`; `wide` is set for a cone of occlusion.
+    fn blocked_cone(
+        &self,
+        caster: &Occluder<'_>,
+        walk: &ConeWalk<'_>,
+        t_hit: f32,
+        cone: LightCone<'_>,
+        wide: Option<&WideCone<'_>>,
+        work: &mut LightWork,
+    ) -> Cone {
+        let ray = cone.ray;
+        let deepest = walk.inside(t_hit, wide.map(|wide| &wide.ball), &mut work.steps);
+        if deepest.0 <= -1.0 {
+            return Cone::COVERED;
+        }
+        let axes = basis(ray.direction).map(|axis| axis.as_vec3());
+        let (rays, count) = walk.rays_past(deepest, axes, &mut work.steps);
+        let mut most = 0.0f32;
+        for past in &rays[..count] {
+            if past.most <= most {
+                break;
+            }
+            most = most.max(self.clearance_past(caster, past, cone, most, wide, work));
+        }
+        if wide.is_some() {
+            // The end of the cone is open: an occluder at the end of the reach fades out.
+            most = most.max(1.0 - (ray.t_max as f32 - t_hit) / (END_FADE * walk.slope * ray.t_max as f32));
+        }
+        Cone { x: most * (1.0 + deepest.0) - 1.0, is_covered: false }
+    }
+
+    /// The least clearance of a ray past an edge of an occluder, beside that occluder and all other opaque ones: radii
+    /// of the ray's narrow cone, from 0 to 1. The search ends if it is at most `least`.
+    fn clearance_past(
+        &self,
+        caster: &Occluder<'_>,
+        past: &RayPast,
+        LightCone { place, ray, .. }: LightCone<'_>,
+        least: f32,
+        wide: Option<&WideCone<'_>>,
+        work: &mut LightWork,
+    ) -> f32 {
+        let direction = ray.direction + past.offset.as_dvec3();
+        let length = direction.length();
+        let ray = LightRay { direction: direction / length, t_max: ray.t_max * length };
+        let cone = LightCone { place, ray: &ray, slope: past.slope };
+        let split = self.split(place, &ray, past.slope);
+        // The occluder itself is the likeliest to be near.
+        let mut clearance = past.most.min(self.clearance_beside(caster, cone, past.most, work));
+        let mut pass = |item: u32, limit: f32| {
+            for other in self.casters(item, place, &ray, &split) {
+                // `caster` is all of its instance, unless a far field divides the ray.
+                let is_same = std::ptr::eq(other.instance, caster.instance);
+                let counts = if is_same { self.far.is_some() } else { other.instance.shade >= 1.0 };
+                if counts && clearance > least {
+                    clearance = clearance.min(self.clearance_beside(&other, cone, clearance, work));
+                }
+            }
+            if clearance > least { limit } else { -1.0 }
+        };
+        let line = Line::cone(place.p.as_vec3(), ray.direction.as_vec3(), past.slope);
+        let reach = self.reach(&split, &ray);
+        match wide {
+            None => self.scene.tree.walk(&line, reach, pass),
+            Some(wide) => {
+                let (offset, width) = (past.offset.length(), past.slope * length as f32);
+                wide.beside.along(place.p.as_vec3(), ray.direction.as_vec3(), offset, width, |item| {
+                    let bounds = &self.scene.boxes[item as usize];
+                    line.span(bounds.min, bounds.max, reach).is_none() || pass(item, reach) >= 0.0
+                });
+            }
+        }
+        if split.far.is_some() && clearance > least {
+            for far in self.far_casters(&split, place, &ray) {
+                clearance = clearance.min(self.clearance_beside(&far, cone, clearance, work));
+            }
+        }
+        clearance
+    }
+
+    /// The clearance of the axis of a narrow cone beside one occluder in radii, from 0 to 1. A clearance above
+    /// `x_known` need not be exact.
+    fn clearance_beside(&self, caster: &Occluder<'_>, cone: LightCone<'_>, x_known: f32, work: &mut LightWork) -> f32 {
+        work.steps += 1;
+        if caster.field.prefers_rays() {
+            return if self.hit_of(caster, cone.place, cone.ray, work).is_some() { 0.0 } else { 1.0 };
+        }
+        let Some(walk) = caster.cone_walk(cone, x_known) else { return 1.0 };
+        let mut steps = 0;
+        let found = walk.beside(x_known, &mut steps, |from| self.walk_hit(caster, &walk, from, work));
+        work.steps += steps;
+        found.unwrap_or(0.0)
+    }
+}

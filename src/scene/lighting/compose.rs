@@ -1,0 +1,106 @@
+//! The light pass: Blinn-Phong (Blinn 1977) over the G-buffer, with shadow, occlusion and scattering from the fields.
+//!
+//! # Theory
+//!
+//! ```text
+//!   color = emission + ambient * open * albedo
+//!         + sum over lights of  arrives * light * (max(0, n.l) * albedo + specular * max(0, n.h)^shininess)
+//!         + sum over lights of  through * light * albedo * (1 - max(0, n.l))^2
+//! ```
+//!
+//! `ambient` is the light from everywhere on the normal ([`crate::scene::content::options`]). `arrives` is the visible
+//! fraction of the light ([`crate::scene::light::shadow`]), 0 on a side that faces away. `open` is the mean of cones
+//! over the hemisphere ([`crate::scene::light::occlusion`]), each weighted by its cosine; occluders beyond a given
+//! distance do not count. Indirect light ([`crate::scene::light::bounces`]) replaces `ambient * open`. `through` is the
+//! fraction of the light that arrives through the instance itself ([`crate::scene::light::transmission`]). A side that
+//! faces away receives all of it. On the lit side its weight falls with the cosine, so the picture is continuous where
+//! the cosine is 0, and no surface emits more light than arrives.
+
+use super::light_buffer::{LightBuffer, LightSample};
+use super::pass::Pass;
+use crate::error::Error;
+use crate::memory::zeroed_rows;
+use crate::picture::Frame;
+use crate::scene::content::model::Scene;
+use crate::scene::light::lit_surface::{Lights, LitSurface};
+use glam::{Vec3, Vec4};
+use rayon::prelude::*;
+
+/// Shades the layers with the light on them, and composes them over the background. Returns the picture, and the number
+/// of rays and cones of the light in each pixel.
+pub(crate) fn compose(
+    pass: &Pass<'_>,
+    known: &LightBuffer,
+    indirect: Option<&LightBuffer>,
+) -> Result<(Frame, Vec<u32>), Error> {
+    let &Pass { casters, buffer, lights, options, progress, .. } = pass;
+    let scene = casters.scene;
+    let [width, height] = options.size.map(|n| n as usize);
+    let mut frame = Frame::new(width, height, lights.lights.len())?;
+    let mut rays = zeroed_rows("pixels", width * height)?;
+    frame.rows().into_par_iter().zip(rays.par_chunks_mut(width)).enumerate().try_for_each(|(y, (row, rays))| {
+        row.steps.copy_from_slice(&buffer.steps[y]);
+        let layers = &buffer.rows[y];
+        let mut next = 0;
+        for x in 0..width {
+            let mut color = Vec4::ZERO;
+            let mut passes = 1.0;
+            let mut is_first = true;
+            while let Some(layer) = layers.get(next).filter(|layer| layer.x as usize == x) {
+                let surface = LitSurface::new(scene, buffer, y, layer);
+                let (found, mut work) = known.at(y, next);
+                let arrives = match indirect.map(|indirect| indirect.values_at(y, next)) {
+                    Some((values, indirect)) => {
+                        work += indirect;
+                        Vec3::from_slice(values)
+                    }
+                    None => options.ambient.on(layer.normal) * found.open,
+                };
+                row.steps[x] += work.steps;
+                rays[x] += work.rays;
+                let light = surface.shade(scene, lights, arrives, &found);
+                color += passes * layer.color.w * light.extend(1.0);
+                passes *= 1.0 - layer.color.w;
+                // The pixel belongs to the first surface that covers at least half of the background.
+                if is_first && layer.color.w >= 0.5 {
+                    is_first = false;
+                    row.depth[x] = layer.depth as f32;
+                    row.normal[3 * x..][..3].copy_from_slice(&layer.normal.to_array());
+                    row.object_id[x] = scene.instances[layer.instance as usize].object as i32;
+                    row.shadow[x * row.lights..][..row.lights].copy_from_slice(found.shares);
+                }
+                next += 1;
+            }
+            let behind = Vec4::from_array(options.background);
+            let rgb = (color.truncate() + passes * behind.truncate()) * options.exposure;
+            let pixel = [rgb.x, rgb.y, rgb.z, color.w + passes * behind.w];
+            row.color[4 * x..][..4].copy_from_slice(&pixel);
+        }
+        progress.advance(1)
+    })?;
+    Ok((frame, rays))
+}
+
+impl LitSurface<'_> {
+    /// Linear RGB of the lit surface. `ambient` is the reflection of all light but that of the lights by a white
+    /// surface.
+    fn shade(&self, scene: &Scene, lights: &Lights, ambient: Vec3, found: &LightSample<'_>) -> Vec3 {
+        let material = &scene.materials[self.layer.material as usize];
+        let albedo = self.layer.color.truncate();
+        if material.unlit {
+            return self.layer.emission + albedo;
+        }
+        let mut color = self.layer.emission + ambient * albedo;
+        for ((light, &share), &through) in lights.lights.iter().zip(found.shares).zip(found.through) {
+            let (ray, _, light_color) = light.seen_from(self.place.p);
+            let cosine = self.cosine(&ray);
+            if share > 0.0 && cosine > 0.0 {
+                let half = (ray.direction.as_vec3() + self.to_eye).normalize_or_zero();
+                let highlight = material.specular * self.layer.normal.dot(half).max(0.0).powf(material.shininess);
+                color += share * light_color * (cosine * albedo + highlight);
+            }
+            color += light_color * albedo * Vec3::from_array(through);
+        }
+        color
+    }
+}

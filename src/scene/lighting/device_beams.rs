@@ -1,0 +1,300 @@
+//! Light evaluated on a device by beams that the CPU makes.
+
+use super::light_buffer::{LightBuffer, parts_of, stride};
+use super::pass::Pass;
+use crate::error::{DeviceError, Error};
+use crate::gpu::layout::{Answer, Beam};
+use crate::scene::content::options::SceneShadows;
+use crate::scene::device::device_scene::{DeviceScene, WIDE, beam, work_of};
+use crate::scene::light::light_rays::{LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
+use crate::scene::light::lit_surface::{LightSampleMut, LitSurface};
+use crate::scene::light::occlusion::{AO_CONES, AO_SLOPE};
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Approximate number of beams on a device at a time: 64 MiB.
+const MOST_BEAMS: usize = 1 << 20;
+
+/// Evaluates the missing light at the requested pixels on a device.
+pub(crate) fn evaluate_by_beams(
+    pass: &Pass<'_>,
+    device: &DeviceScene,
+    known: &mut LightBuffer,
+    wanted: &dyn Fn(u32, u32) -> bool,
+    worth: u64,
+) -> Result<(), Error> {
+    // Rows are processed in bunches that fit into the memory for beams. A beam has 64 bytes.
+    let rays = if let SceneShadows::Area(count) = pass.options.shadows { count } else { PARTS } as usize;
+    let beams_per_layer = pass.lights.lights.len().max(1) * rays + AO_CONES;
+    let mut bunch = Vec::new();
+    for y in 0..known.rows.len() {
+        for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
+            if !known.rows[y].is_known[i] && wanted(layer.x, y as u32) {
+                bunch.push((y, i, LitSurface::new(pass.casters.scene, pass.buffer, y, layer)));
+            }
+        }
+        pass.progress.advance(worth)?;
+        if bunch.len() * beams_per_layer < MOST_BEAMS && y + 1 < known.rows.len() {
+            continue;
+        }
+        light_bunch(pass, device, known, &mut bunch)?;
+    }
+    Ok(())
+}
+
+/// Computes the light on the surfaces of a bunch on a device: directly, then through their own instances.
+fn light_bunch(
+    pass: &Pass<'_>,
+    device: &DeviceScene,
+    known: &mut LightBuffer,
+    bunch: &mut Vec<(usize, usize, LitSurface<'_>)>,
+) -> Result<(), Error> {
+    let lights = known.lights;
+    let mut answers = DeviceResults::evaluate(pass, device, bunch)?;
+    // `behind` has the beams from behind; `owners` has the row and the layer of each.
+    let (mut behind, mut owners) = (Vec::new(), Vec::new());
+    for (y, i, surface) in bunch.drain(..) {
+        let row = &mut known.rows[y];
+        let mut found = parts_of(&mut row.values[i * stride(lights)..][..stride(lights)], lights);
+        let work = answers.next(pass, &surface, &mut found, &mut behind).ok_or_else(|| too_few(device))?;
+        owners.resize(behind.len(), (y, i));
+        row.work[i] = work;
+        pass.counters.add(work);
+        row.is_known[i] = true;
+    }
+    let beams = behind.iter().map(|behind| beam(&behind.place, &behind.ray, behind.slope)).collect();
+    let past_sheets = past_sheets(pass, &behind, |Behind { place, ray, slope, .. }| {
+        let mut work = LightWork::default();
+        let shares = pass.casters.scene.light_past_sheets(place, ray, *slope, &mut work);
+        (shares, work)
+    })?;
+    let mut shares = Batch::run(pass, device, beams, past_sheets)?;
+    for (Behind { light, left, .. }, (y, i)) in behind.into_iter().zip(owners) {
+        let mut work = LightWork::default();
+        let visible = shares.next(&mut work).ok_or_else(|| too_few(device))?;
+        let row = &mut known.rows[y];
+        let found = parts_of(&mut row.values[i * stride(lights)..][..stride(lights)], lights);
+        let through = &mut found.through[light];
+        *through = (Vec3::from_array(*through) + visible * left).to_array();
+        row.work[i] += work;
+        pass.counters.add(work);
+    }
+    Ok(())
+}
+
+fn too_few(device: &DeviceScene) -> DeviceError {
+    let reason = "it returned fewer results than it received rays".into();
+    DeviceError::Failed { device: device.context().label(), what: "the scene's light".into(), reason }
+}
+
+/// Beams, and the device's results along them, in order.
+struct Batch {
+    beams: std::iter::Zip<std::vec::IntoIter<Beam>, std::vec::IntoIter<Answer>>,
+    /// The narrow cones of discs for which one cone was not sufficient.
+    parts: std::vec::IntoIter<Answer>,
+    /// Fractions past the sheets, which the CPU evaluates: one for each ray and cone of occlusion, and one for each
+    /// part of a disc. Empty in scenes without sheets.
+    past_sheets: std::vec::IntoIter<f32>,
+}
+
+impl Batch {
+    fn run(pass: &Pass<'_>, device: &DeviceScene, beams: Vec<Beam>, past_sheets: Vec<f32>) -> Result<Self, Error> {
+        let has_wide = pass.options.occlusion.is_some();
+        let first = device.shares(pass.casters, has_wide, &beams, pass.progress)?;
+        let undecided = beams.iter().zip(&first).filter(|(beam, answer)| is_undecided(beam, answer));
+        let parts: Vec<Beam> = undecided.flat_map(|(beam, _)| parts_of_disc(beam)).collect();
+        let second = device.shares(pass.casters, has_wide, &parts, pass.progress)?;
+        Ok(Self {
+            beams: beams.into_iter().zip(first),
+            parts: second.into_iter(),
+            past_sheets: past_sheets.into_iter(),
+        })
+    }
+
+    /// The fraction of the next beam, and its work; `None` if there are no more results.
+    fn next(&mut self, work: &mut LightWork) -> Option<f32> {
+        let (beam, answer) = self.beams.next()?;
+        *work += work_of(&answer);
+        let count = if is_disc(&beam) { PARTS as usize } else { 1 };
+        let mut past_sheets = [1.0; PARTS as usize];
+        for (share, found) in past_sheets[..count].iter_mut().zip(self.past_sheets.by_ref()) {
+            *share = found;
+        }
+        if !is_undecided(&beam, &answer) {
+            return Some(answer.value * past_sheets[..count].iter().sum::<f32>() / count as f32);
+        }
+        let mut sum = 0.0;
+        for past_sheets in past_sheets {
+            let part = self.parts.next()?;
+            *work += work_of(&part);
+            sum += part.value * past_sheets;
+        }
+        Some(sum / PARTS as f32)
+    }
+
+    fn mean(&mut self, count: usize, work: &mut LightWork) -> Option<f32> {
+        let mut sum = 0.0;
+        for _ in 0..count {
+            sum += self.next(work)?;
+        }
+        Some(sum / count as f32)
+    }
+}
+
+/// The device's results for the surfaces of a bunch.
+struct DeviceResults {
+    direct: Batch,
+    /// Lengths inside the own instance.
+    lengths: std::vec::IntoIter<Answer>,
+}
+
+impl DeviceResults {
+    fn evaluate(
+        pass: &Pass<'_>,
+        device: &DeviceScene,
+        bunch: &[(usize, usize, LitSurface<'_>)],
+    ) -> Result<Self, Error> {
+        let (mut beams, mut inside) = (Vec::new(), Vec::new());
+        for (_, _, surface) in bunch {
+            first_beams(pass, surface, &mut beams, &mut inside);
+        }
+        let lengths = device.thicknesses(&inside, pass.progress)?;
+        let past_sheets = past_sheets(pass, bunch, |(_, _, surface)| {
+            pass.casters.scene.sheets_at(surface, pass.lights, pass.options)
+        })?;
+        Ok(Self { direct: Batch::run(pass, device, beams, past_sheets)?, lengths: lengths.into_iter() })
+    }
+
+    /// Stores the results for the next surface in `found` and returns their work; `None` if there are no more results.
+    /// A beam to each light whose visibility behind the surface's own instance is unknown is appended to `behind`.
+    fn next(
+        &mut self,
+        pass: &Pass<'_>,
+        surface: &LitSurface<'_>,
+        found: &mut LightSampleMut<'_>,
+        behind: &mut Vec<Behind>,
+    ) -> Option<LightWork> {
+        let mut work = LightWork::default();
+        let scene = pass.casters.scene;
+        *found.open = 1.0;
+        if let Some(distance) = pass.options.occlusion {
+            let (mut sum, mut weights) = (0.0, 0.0);
+            for (_, weight) in surface.place.open_rays(distance / scene.scale) {
+                sum += weight * self.direct.next(&mut work)?;
+                weights += weight;
+            }
+            *found.open = sum / weights;
+        }
+        for (i, light) in pass.lights.lights.iter().enumerate() {
+            let (ray, slope, _) = light.seen_from(surface.place.p);
+            found.shares[i] = match surface.plain_share(&ray, pass.options) {
+                Some(share) => share,
+                None => match pass.options.shadows {
+                    SceneShadows::Area(count) if slope > 0.0 => self.direct.mean(count as usize, &mut work)?,
+                    _ => self.direct.next(&mut work)?,
+                },
+            };
+            let mut sum = Vec3::ZERO;
+            if surface.scatters(scene) {
+                let ways = surface.ways(&ray, slope, pass.options.shadows);
+                let share = 1.0 / ways.len() as f32;
+                for (way, slope) in ways {
+                    let length = match pass.casters.chord(&surface.place, &way) {
+                        Some(chord) => chord,
+                        None => self.lengths.next()?.value,
+                    };
+                    let left = share * surface.left(scene, &way, length);
+                    match surface.plain_visibility(found.shares[i], left, pass.options) {
+                        Some(visible) => sum += visible * left,
+                        None => {
+                            let slope = if pass.options.shadows == SceneShadows::Soft { slope } else { 0.0 };
+                            behind.push(Behind { light: i, left, place: surface.place_behind(), ray: way, slope });
+                        }
+                    }
+                }
+            }
+            found.through[i] = sum.to_array();
+        }
+        Some(work)
+    }
+}
+
+/// A beam from a surface to light behind its own instance.
+struct Behind {
+    light: usize,
+    /// Fraction of the light that remains inside the instance.
+    left: Vec3,
+    place: SurfacePoint,
+    ray: LightRay,
+    slope: f32,
+}
+
+/// Fractions of all beams of some surfaces past the sheets, in order.
+fn past_sheets<T: Sync>(
+    pass: &Pass<'_>,
+    items: &[T],
+    shares: impl Fn(&T) -> (Vec<f32>, LightWork) + Sync,
+) -> Result<Vec<f32>, Error> {
+    if pass.casters.scene.sheets.is_empty() {
+        return Ok(Vec::new());
+    }
+    let found = items
+        .par_iter()
+        .map(|item| {
+            pass.progress.check()?;
+            let (shares, work) = shares(item);
+            pass.counters.add(work);
+            Ok(shares)
+        })
+        .collect::<Result<Vec<_>, Error>>()?;
+    Ok(found.concat())
+}
+
+/// Appends the beams of a surface: first the cones of occlusion, then for each light one beam, or all rays of an area
+/// light. The rays whose length inside the own instance is needed are appended to `inside`.
+fn first_beams(pass: &Pass<'_>, surface: &LitSurface<'_>, beams: &mut Vec<Beam>, inside: &mut Vec<Beam>) {
+    if let Some(distance) = pass.options.occlusion {
+        let cones = surface.place.open_rays(distance / pass.casters.scene.scale);
+        beams.extend(cones.map(|(ray, _)| Beam { is_coarse: WIDE, ..beam(&surface.place, &ray, AO_SLOPE) }));
+    }
+    for light in &pass.lights.lights {
+        let (ray, slope, _) = light.seen_from(surface.place.p);
+        if surface.needs_rays(&ray, pass.options) {
+            let is_soft = pass.options.shadows == SceneShadows::Soft;
+            let ways = surface.ways(&ray, slope, pass.options.shadows);
+            beams.extend(ways.iter().map(|(way, slope)| beam(&surface.place, way, if is_soft { *slope } else { 0.0 })));
+        }
+        if surface.scatters(pass.casters.scene) {
+            let ways = surface.ways(&ray, slope, pass.options.shadows);
+            let marched = ways.iter().filter(|(way, _)| pass.casters.chord(&surface.place, way).is_none());
+            inside.extend(marched.map(|(way, _)| beam(&surface.place, way, 0.0)));
+        }
+    }
+}
+
+/// The narrow cones that divide a light's disc.
+fn parts_of_disc(disc: &Beam) -> impl Iterator<Item = Beam> {
+    let direction = Vec3::from_array(disc.direction).as_dvec3();
+    let ray = LightRay { direction, t_max: f64::from(disc.t_max) };
+    let axes = basis(ray.direction);
+    (0..PARTS).map(move |i| {
+        let part = toward(&ray, axes, disc.slope, disc_point(i, PARTS, 0.0));
+        Beam {
+            direction: part.direction.as_vec3().to_array(),
+            t_max: part.t_max as f32,
+            slope: disc.slope / (PARTS as f32).sqrt(),
+            is_coarse: 1,
+            ..*disc
+        }
+    })
+}
+
+/// Whether the cone to a light's disc must be divided. The cones of occlusion are never divided.
+fn is_undecided(beam: &Beam, answer: &Answer) -> bool {
+    is_disc(beam) && answer.is_proven == 0
+}
+
+/// Whether a beam is a cone to the whole disc of a light.
+fn is_disc(beam: &Beam) -> bool {
+    beam.slope > 0.0 && beam.is_coarse == 0
+}

@@ -1,0 +1,200 @@
+//! The light at the visible surfaces of a camera: evaluated in the fields, on the CPU or a device, or interpolated from
+//! neighbours.
+//!
+//! Light changes slowly over most of a picture, and its evaluation is the main cost. A picture at half resolution
+//! therefore evaluates it at every second pixel of every second row, and a picture with several samples per pixel
+//! evaluates it at the centres of the pixels. Every other surface has the bilinearly weighted mean of those of the four
+//! evaluated surfaces around it that belong to the same instance, lie in its plane and have a similar normal (joint
+//! bilateral upsampling: Kopf et al., SIGGRAPH 2007). Where too few of them match, or where they disagree, as at the
+//! edge of a shadow, the light is evaluated. Occlusion and indirect light are smoother than shadows, so they are
+//! evaluated on a coarser lattice, and their interpolation regards normals and curvature ([`super::upsampling`]).
+
+use super::device_beams::evaluate_by_beams;
+use super::device_light::light_faces;
+use super::light_buffer::{LightBuffer, LightRow, parts_of};
+use super::pass::Pass;
+use super::tile::{TILE, Tiles};
+use super::upsampling::gather;
+use crate::error::Error;
+use crate::scene::content::options::RenderOptions;
+use crate::scene::light::bounces::Bounces;
+use crate::scene::light::light_rays::LightWork;
+use crate::scene::light::lit_surface::{Lights, LitSurface};
+use crate::scene::light::occlusion::Occluders;
+use crate::scene::visibility::gbuffer::GBuffer;
+use rayon::prelude::*;
+
+/// Occlusion and indirect light are evaluated at one of this many pixels along each side. Between these pixels they are
+/// interpolated on lattices that are twice as fine from one to the next. A pixel is also evaluated if its neighbours on
+/// the coarser lattice lie on other surfaces or disagree, or if another surface is visible near it.
+const SMOOTH_SCALE: u32 = 8;
+
+/// Smallest number of evaluated pixels along the shorter side of a picture with indirect light. The light on a large
+/// wall changes slowly, but much from one side to the other.
+const LEAST_LATTICE: u32 = 32;
+
+/// Units of progress that one call of [`find`] counts per row of the picture. The number is divisible by each possible
+/// number of lattices, 1 to 4.
+pub(crate) const FIND_WORTH: u64 = 12;
+
+/// Number of calls of [`find`] and [`find_bounces`], by which a picture of this number of passes counts its progress.
+/// `is_lit` tells that [`find`] is not called, because its results are those of the last picture.
+pub(crate) fn find_count(options: &RenderOptions, passes: u32, is_lit: bool) -> u64 {
+    // The occlusion of a first pass is computed separately from the lights, at its own scale.
+    let direct = if is_lit { 0 } else { u64::from(passes) + u64::from(options.occlusion.is_some()) };
+    direct + u64::from(passes) * u64::from(options.bounces.is_some())
+}
+
+/// Finds the occlusion of a pass at its scale, then the light that arrives from the lights.
+fn find_apart(pass: &Pass<'_>) -> Result<LightBuffer, Error> {
+    let no_lights = Lights { lights: Vec::new() };
+    let open = find_at(&Pass { lights: &no_lights, ..*pass }, SMOOTH_SCALE)?;
+    let options = RenderOptions { occlusion: None, ..pass.options.clone() };
+    let mut known = find_at(&Pass { options: &options, ..*pass }, options.light_scale)?;
+    let stride = known.stride;
+    for (row, open) in known.rows.iter_mut().zip(&open.rows) {
+        for (i, (&value, &work)) in open.values.iter().zip(&open.work).enumerate() {
+            row.values[i * stride] = value;
+            row.work[i] += work;
+        }
+    }
+    Ok(known)
+}
+
+/// Computes the light of a pass. If a G-buffer with light is given, the light is interpolated from it wherever its
+/// values agree.
+pub(crate) fn find(pass: &Pass<'_>, centre: Option<(&GBuffer, &LightBuffer)>) -> Result<LightBuffer, Error> {
+    match centre {
+        Some((buffer, centre)) => find_between(pass, buffer, centre),
+        None if pass.options.occlusion.is_some() => find_apart(pass),
+        None => find_at(pass, pass.options.light_scale),
+    }
+}
+
+/// Computes the indirect light of a pass, as [`find`] does for the lights.
+pub(crate) fn find_bounces(
+    pass: &Pass<'_>,
+    bounces: &Bounces<'_>,
+    centre: Option<(&GBuffer, &LightBuffer)>,
+) -> Result<LightBuffer, Error> {
+    let no_lights = Lights { lights: Vec::new() };
+    let pass = Pass { lights: &no_lights, bounces: Some(bounces), device: None, ..*pass };
+    match centre {
+        None => {
+            let [width, height] = pass.options.size;
+            let mut every = SMOOTH_SCALE;
+            while every > 1 && every * LEAST_LATTICE > width.min(height) {
+                every /= 2;
+            }
+            find_at(&pass, every)
+        }
+        Some((buffer, centre)) => find_between(&pass, buffer, centre),
+    }
+}
+
+/// Interpolates light from a G-buffer at the centres of the pixels, and evaluates the rest.
+fn find_between(pass: &Pass<'_>, buffer: &GBuffer, centre: &LightBuffer) -> Result<LightBuffer, Error> {
+    let mut known = unknown(pass);
+    gather(pass, &mut known, buffer, centre, [1, 1])?;
+    evaluate(pass, &mut known, &|_, _| true, FIND_WORTH)?;
+    Ok(known)
+}
+
+/// A buffer for the light of a pass.
+fn unknown(pass: &Pass<'_>) -> LightBuffer {
+    LightBuffer::new(pass.buffer, pass.bounces.is_none().then_some(pass.lights.lights.len()))
+}
+
+/// Evaluates every pixel of a lattice whose pixels are `every` apart. Then the lattice is halved until it is the
+/// picture: each step interpolates from the coarser lattice, and evaluates the pixels whose neighbours disagree.
+fn find_at(pass: &Pass<'_>, every: u32) -> Result<LightBuffer, Error> {
+    let mut known = unknown(pass);
+    let worth = FIND_WORTH / u64::from(every.ilog2() + 1);
+    let mut every = every;
+    if every == 1
+        && let Some(device) = pass.device
+        && light_faces(pass, device, &mut known)?
+        && known.is_almost_complete()
+    {
+        // For so few surfaces the upload of the beams costs more than their evaluation on the CPU.
+        evaluate(&Pass { device: None, ..*pass }, &mut known, &|_, _| true, worth)?;
+        return Ok(known);
+    }
+    loop {
+        evaluate(pass, &mut known, &|x, y| x % every == 0 && y % every == 0, worth)?;
+        if every == 1 {
+            return Ok(known);
+        }
+        let coarse = std::mem::replace(&mut known, unknown(pass));
+        gather(pass, &mut known, pass.buffer, &coarse, [every, every / 2])?;
+        known.keep(coarse);
+        every /= 2;
+    }
+}
+
+/// Evaluates the missing light at the requested pixels. Each row counts as the same amount of progress.
+fn evaluate(
+    pass: &Pass<'_>,
+    known: &mut LightBuffer,
+    wanted: &(dyn Fn(u32, u32) -> bool + Sync),
+    worth: u64,
+) -> Result<(), Error> {
+    if let Some(device) = pass.device {
+        return evaluate_by_beams(pass, device, known, wanted, worth);
+    }
+    let (lights, stride) = (known.lights, known.stride);
+    let is_shared = Tiles::are_useful(pass);
+    known.rows.par_chunks_mut(TILE).enumerate().try_for_each(|(band, rows)| {
+        let first = band * TILE;
+        let mut tiles = Tiles::new(pass, [first as u32, (first + rows.len() - 1) as u32]);
+        let lines = || first..first + TILE;
+        if is_shared {
+            for (y, row) in lines().zip(&*rows) {
+                let layers = pass.buffer.rows[y].iter().zip(&row.is_known);
+                layers
+                    .filter(|(layer, known)| !**known && wanted(layer.x, y as u32))
+                    .for_each(|(layer, _)| tiles.add(layer));
+            }
+        }
+        for (y, row) in lines().zip(rows) {
+            evaluate_row(pass, &mut tiles, (y, row), wanted, [lights, stride])?;
+            pass.progress.advance(worth)?;
+        }
+        Ok(())
+    })
+}
+
+/// Evaluates the missing light at the requested pixels of row `y`.
+fn evaluate_row(
+    pass: &Pass<'_>,
+    tiles: &mut Tiles<'_>,
+    (y, row): (usize, &mut LightRow),
+    wanted: &(dyn Fn(u32, u32) -> bool + Sync),
+    [lights, stride]: [usize; 2],
+) -> Result<(), Error> {
+    let (mut total, mut occluders) = (LightWork::default(), Occluders::default());
+    for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
+        if !row.is_known[i] && wanted(layer.x, y as u32) {
+            let surface = LitSurface::new(pass.casters.scene, pass.buffer, y, layer);
+            let values = &mut row.values[i * stride..][..stride];
+            let work = match pass.bounces {
+                Some(bounces) => {
+                    let mut work = LightWork::default();
+                    // Neighbours with another material interpolate the light of surfaces without lighting too.
+                    values.copy_from_slice(&bounces.light_on(&surface.place, &mut work).to_array());
+                    pass.progress.check()?;
+                    work
+                }
+                None => {
+                    let (mut found, near) = (parts_of(values, lights), tiles.occluders(layer));
+                    surface.look(pass.casters, near, pass.lights, pass.options, &mut occluders, &mut found)
+                }
+            };
+            row.work[i] = work;
+            total += work;
+            row.is_known[i] = true;
+        }
+    }
+    pass.counters.add(total);
+    Ok(())
+}

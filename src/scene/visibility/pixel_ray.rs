@@ -1,0 +1,360 @@
+//! The search for the surfaces of one pixel.
+
+use super::appearance::{FaceAppearance, field_color, field_emission};
+use super::gbuffer::{Layer, View};
+use crate::bvh::rays::watertight::{FaceHit, Ray};
+use crate::geometry::clip;
+use crate::scene::content::instance::Instance;
+use crate::scene::content::material::{Alpha, Material};
+use crate::scene::content::model::Scene;
+use crate::scene::content::options::{Primary, RenderOptions};
+use crate::scene::content::tree::Line;
+use crate::scene::content::triangles::Triangles;
+use crate::scene::fields::field::{FieldHit, FieldRay};
+use glam::{DVec3, Vec3, Vec4};
+
+/// Largest number of surfaces of one pixel. Behind so many translucent ones the last counts as opaque.
+pub(crate) const MAX_LAYERS: usize = 16;
+
+/// Relative tolerance between the depth found by a device and the depth of the same surface on the ray of the pixel.
+/// Devices compute in float32, in units of the object; a hit slightly in front is the same surface.
+const NEARNESS: f64 = 1e-3;
+/// Smallest distance of a hit of a view ray with a mesh, local units: more than the rounding of a position in float64.
+/// A face is not visible from an eye in its plane.
+const NEAR: f64 = 1e-12;
+
+/// Draws the pixels of a row by `trace`: the layers of all pixels, and the number of steps of each.
+pub(crate) fn draw_row<'a>(
+    scene: &'a Scene,
+    options: &'a RenderOptions,
+    view: &'a View,
+    y: u32,
+    mut trace: impl FnMut(&mut PixelRay<'a>, &mut Vec<Layer>),
+) -> (Vec<Layer>, Vec<u32>) {
+    let (mut layers, mut steps) = (Vec::new(), Vec::new());
+    for x in 0..view.size[0] {
+        let mut ray = PixelRay { scene, options, view, x, y, left_over: None, skips_opaque: false, steps: 0 };
+        trace(&mut ray, &mut layers);
+        steps.push(ray.steps);
+    }
+    (layers, steps)
+}
+
+/// The ray of one pixel.
+pub(crate) struct PixelRay<'a> {
+    scene: &'a Scene,
+    options: &'a RenderOptions,
+    view: &'a View,
+    pub x: u32,
+    y: u32,
+    /// For each instance, whether the search tests it; None if it tests all.
+    pub left_over: Option<&'a [bool]>,
+    /// Whether the opaque faces of all instances are drawn already.
+    pub skips_opaque: bool,
+    pub steps: u32,
+}
+
+impl PixelRay<'_> {
+    /// Appends the layers of the pixel, up to the opaque surface `behind` if it is known.
+    pub(crate) fn trace(&mut self, layers: &mut Vec<Layer>, behind: Option<Layer>) {
+        let direction = self.view.direction(self.x, self.y);
+        let first = layers.len();
+        let limit = behind.map_or(f64::INFINITY, |layer| layer.depth);
+        let mut from = 0.0;
+        while let Some(layer) = self.next_surface(direction, from, limit, &layers[first..]) {
+            let is_last = layers.len() - first + 1 == MAX_LAYERS;
+            layers.push(layer);
+            if layer.color.w >= 1.0 || is_last {
+                return;
+            }
+            from = layer.depth;
+        }
+        layers.extend(behind);
+    }
+
+    /// The nearest surface from depth `from` to `limit` that is not among the given ones.
+    fn next_surface(&mut self, direction: DVec3, from: f64, limit: f64, before: &[Layer]) -> Option<Layer> {
+        let scene = self.scene;
+        let eye = scene.scene_from_world(self.start());
+        let direction_scene = direction / scene.scale;
+        // Boxes are tested in float32, on a ray that starts just before the box of the scene.
+        let start = (self.depth_of_scene(direction)).max(from);
+        let line = Line::new((eye + start * direction_scene).as_vec3(), direction_scene.as_vec3());
+        // The limit lies slightly beyond a hit, because boxes are rounded to float32.
+        let reach =
+            |depth: f64| ((depth - start) * 1.000_01 + 1e-6 / direction_scene.length()).min(f64::from(f32::MAX)) as f32;
+        let mut best: Option<Layer> = None;
+        let mut nearest = limit;
+        let mut steps = self.steps;
+        scene.tree.walk(&line, reach(limit), |item, limit| {
+            let instance = &scene.instances[item as usize];
+            if !instance.visible || self.left_over.is_some_and(|left_over| !left_over[item as usize]) {
+                return limit;
+            }
+            steps += 1;
+            let seen = |depth: f64| before.iter().any(|layer| layer.instance == item && layer.depth >= depth);
+            let found = if as_triangles(instance, self.options.primary) {
+                self.triangle(item, eye, direction, from, nearest, &seen)
+            } else {
+                self.field(item, eye, direction, [from, nearest], &seen, &mut steps)
+            };
+            if let Some(layer) = found {
+                nearest = layer.depth;
+                best = Some(layer);
+                return reach(nearest);
+            }
+            limit
+        });
+        self.steps = steps;
+        best
+    }
+
+    /// World position at which the ray starts.
+    fn start(&self) -> DVec3 {
+        self.view.start(self.x, self.y)
+    }
+
+    /// Depth at which the ray approaches the scene's box.
+    fn depth_of_scene(&self, direction: DVec3) -> f64 {
+        let [lower, upper] = self.scene.bounds();
+        let center = (lower + upper) * 0.5;
+        let reach = (upper - lower).length();
+        let to_center = (center - self.start()).dot(direction) / direction.length_squared();
+        (to_center - reach / direction.length()).max(0.0)
+    }
+
+    /// Whether an instance is drawn as triangles.
+    pub(crate) fn is_triangles(&self, item: u32) -> bool {
+        as_triangles(&self.scene.instances[item as usize], self.options.primary)
+    }
+
+    /// Whether the hit of a field that a device found must be computed again by the ray of the pixel.
+    pub(crate) fn is_met_again(&self, item: u32) -> bool {
+        self.scene.instances[item as usize].field.as_ref().is_some_and(|field| field.is_met_again())
+    }
+
+    fn triangle(
+        &self,
+        item: u32,
+        eye: DVec3,
+        direction: DVec3,
+        from: f64,
+        nearest: f64,
+        seen: &dyn Fn(f64) -> bool,
+    ) -> Option<Layer> {
+        let ray = self.mesh_ray(item, eye, direction)?;
+        let hit = ray.triangles.mesh.first_hit(&Ray { t_max: nearest, ..ray.in_tree }, |hit| {
+            let is_drawn = || self.skips_opaque && is_opaque(ray.instance, ray.material(hit));
+            hit.t >= from && !seen(hit.t) && !is_drawn() && ray.is_seen(hit)
+        })?;
+        Some(ray.layer(self.x, item, &hit))
+    }
+
+    /// The layer of a face that a device found in the pixel; None if the exact ray misses the face or the mask cuts it
+    /// out there.
+    pub(crate) fn face(&self, item: u32, face: u32) -> Option<Layer> {
+        let eye = self.scene.scene_from_world(self.start());
+        let ray = self.mesh_ray(item, eye, self.view.direction(self.x, self.y))?;
+        let hit = ray.triangles.mesh.hit_of_face(face, &ray.in_tree)?;
+        ray.is_seen(&hit).then(|| ray.layer(self.x, item, &hit))
+    }
+
+    fn mesh_ray(&self, item: u32, eye: DVec3, direction: DVec3) -> Option<MeshRay<'_>> {
+        let instance = &self.scene.instances[item as usize];
+        let to_tree = instance.tree_from_scene;
+        let along = to_tree.matrix3 * (direction / self.scene.scale);
+        Some(MeshRay {
+            scene: self.scene,
+            instance,
+            triangles: instance.triangles.as_deref()?,
+            in_tree: Ray {
+                origin: to_tree.transform_point3(eye),
+                direction: along,
+                t_min: NEAR / along.length(),
+                t_max: f64::INFINITY,
+            },
+            direction,
+            view: self.view,
+        })
+    }
+
+    fn field(
+        &self,
+        item: u32,
+        eye: DVec3,
+        direction: DVec3,
+        [from, nearest]: [f64; 2],
+        seen: &dyn Fn(f64) -> bool,
+        steps: &mut u32,
+    ) -> Option<Layer> {
+        let scene = self.scene;
+        let instance = &scene.instances[item as usize];
+        let field = instance.field.as_deref()?;
+        // A solid is one layer: the surfaces behind its front are inside it.
+        if seen(f64::NEG_INFINITY) {
+            return None;
+        }
+        let origin = instance.field_from_scene.transform_point3(eye);
+        let along = instance.field_from_scene.matrix3 * (direction / scene.scale);
+        let [lower, upper] = field.surface_bounds();
+        let (enter, leave) = clip(origin, along, lower, upper, from, nearest)?;
+        let ray = FieldRay { origin: (origin + enter * along).as_vec3(), direction: along.as_vec3() };
+        let (hit, taken) = field.first_hit(&ray, (leave - enter) as f32);
+        *steps += taken;
+        let hit = hit?;
+        let depth = enter + f64::from(hit.t);
+        if depth > nearest {
+            return None;
+        }
+        let is_cut = hit.at_start && enter > from;
+        self.field_layer(item, direction, depth, ray.origin + hit.t * ray.direction, &hit, is_cut)
+    }
+
+    /// The layer of a field that a device found near a depth, scene units, at the exact hit of the ray of the pixel.
+    pub(crate) fn field_near(&self, item: u32, depth: f64) -> Option<Layer> {
+        let depth = depth * self.scene.scale;
+        let eye = self.scene.scene_from_world(self.start());
+        let direction = self.view.direction(self.x, self.y);
+        let (from, to) = ((1.0 - NEARNESS) * depth, (1.0 + NEARNESS) * depth);
+        self.field(item, eye, direction, [from, to], &|_| false, &mut 0)
+    }
+
+    /// The layer of a field that a device found at a depth, scene units.
+    pub(crate) fn field_at(&self, item: u32, depth: f64, at_start: bool) -> Option<Layer> {
+        let depth = depth * self.scene.scale;
+        let direction = self.view.direction(self.x, self.y);
+        let to_field = self.scene.instances[item as usize].field_from_scene;
+        let eye = to_field.transform_point3(self.scene.scene_from_world(self.start()));
+        let p = eye + to_field.matrix3 * (depth / self.scene.scale * direction);
+        let [lower, upper] = self.scene.instances[item as usize].field.as_deref()?.surface_bounds();
+        let is_outside = eye.cmplt(lower.as_dvec3()).any() || eye.cmpgt(upper.as_dvec3()).any();
+        let hit = FieldHit { t: depth as f32, at_start, part: 0 };
+        self.field_layer(item, direction, depth, p.as_vec3(), &hit, at_start && is_outside)
+    }
+
+    /// `is_cut`: the hit is on a face of the grid.
+    fn field_layer(
+        &self,
+        item: u32,
+        direction: DVec3,
+        depth: f64,
+        p: Vec3,
+        hit: &FieldHit,
+        is_cut: bool,
+    ) -> Option<Layer> {
+        let instance = &self.scene.instances[item as usize];
+        let field = instance.field.as_deref()?;
+        let to_eye = -direction.normalize().as_vec3();
+        let look = field.appearance(p, hit, (instance.field_from_scene.matrix3 * direction).as_vec3());
+        let normal = if is_cut {
+            // The face through which the ray entered.
+            let [lower, upper] = field.surface_bounds();
+            let from_face = ((p - lower) / (upper - lower) - 0.5).abs();
+            let axis = (1..3).fold(0, |best, axis| if from_face[axis] > from_face[best] { axis } else { best });
+            let mut face = Vec3::ZERO;
+            face[axis] = -(instance.field_from_scene.matrix3 * direction).as_vec3()[axis].signum();
+            (instance.field_from_scene.matrix3.transpose().as_mat3() * face).normalize_or_zero()
+        } else if hit.at_start {
+            to_eye
+        } else {
+            (instance.scene_from_normal * look.normal).normalize_or(to_eye)
+        };
+        let material = &self.scene.materials[instance.first_material as usize];
+        let mut color = field_color(instance, material, &look).extend(material.color[3]);
+        if material.alpha != Alpha::Blend {
+            color.w = 1.0;
+        }
+        color.w *= instance.opacity;
+        Some(Layer {
+            x: self.x,
+            instance: item,
+            material: instance.first_material,
+            depth,
+            normal,
+            color,
+            emission: field_emission(material),
+            is_triangle: false,
+            is_from_device: false,
+        })
+    }
+}
+
+/// The ray of a pixel through an instance with triangles.
+struct MeshRay<'a> {
+    scene: &'a Scene,
+    instance: &'a Instance,
+    triangles: &'a Triangles,
+    /// The ray in the space of the mesh's tree.
+    in_tree: Ray,
+    /// World direction; multiples of it are depths.
+    direction: DVec3,
+    view: &'a View,
+}
+
+impl MeshRay<'_> {
+    fn appearance(&self, hit: &FaceHit) -> FaceAppearance<'_> {
+        FaceAppearance::new(self.scene, self.instance, self.triangles, hit.face, hit.weights)
+    }
+
+    fn material(&self, hit: &FaceHit) -> &Material {
+        self.appearance(hit).material()
+    }
+
+    /// Whether a face is visible from this side, and not cut out by its mask.
+    fn is_seen(&self, hit: &FaceHit) -> bool {
+        let material = self.material(hit);
+        // The visible side is the same in any space, mirrored or not.
+        if !material.two_sided && !hit.is_front {
+            return false;
+        }
+        match material.alpha {
+            Alpha::Opaque => true,
+            Alpha::Mask(cutoff) => self.color(hit).w >= cutoff,
+            Alpha::Blend => self.color(hit).w > 0.0,
+        }
+    }
+
+    fn color(&self, hit: &FaceHit) -> Vec4 {
+        self.appearance(hit).color(|| self.pixel(hit))
+    }
+
+    /// Side of the pixel on the surface, in units of the tree; larger on slanted surfaces.
+    fn pixel(&self, hit: &FaceHit) -> f64 {
+        let [a, b, c] = self.triangles.mesh.triangle(hit.face);
+        let normal = (b - a).cross(c - a);
+        let slant =
+            (normal.dot(self.in_tree.direction) / (normal.length() * self.in_tree.direction.length())).abs().max(0.05);
+        let pixel = self.view.pixel_size_at(hit.t) * self.in_tree.direction.length() / self.direction.length();
+        pixel / slant.sqrt()
+    }
+
+    fn layer(&self, x: u32, item: u32, hit: &FaceHit) -> Layer {
+        let mut color = self.color(hit);
+        if self.material(hit).alpha != Alpha::Blend {
+            color.w = 1.0;
+        }
+        color.w *= self.instance.opacity;
+        let look = self.appearance(hit);
+        Layer {
+            x,
+            instance: item,
+            material: look.material_index(),
+            depth: hit.t,
+            normal: look.normal_toward(self.direction.as_vec3(), hit.is_front),
+            color,
+            emission: look.emission(|| self.pixel(hit)),
+            is_triangle: true,
+            is_from_device: false,
+        }
+    }
+}
+
+/// Whether a device finds everything that occludes surfaces behind it, for an instance with this material.
+pub(crate) fn is_opaque(instance: &Instance, material: &Material) -> bool {
+    instance.opacity >= 1.0 && material.alpha != Alpha::Blend && !instance.has_colored_mask
+}
+
+/// Whether the primary pass draws the triangles of an instance.
+pub(crate) fn as_triangles(instance: &Instance, primary: Primary) -> bool {
+    instance.triangles.is_some() && primary != Primary::Raymarch
+}
