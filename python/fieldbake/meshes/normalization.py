@@ -71,8 +71,9 @@ def normalize(mesh: MeshLike, target: Target = "unit cube") -> Normalized:
     if word == "unit cube":
         size = float((upper - lower).max())
     else:
-        used = np.asarray(checked.vertices[np.unique(checked.faces)], np.float64)
-        size = float(np.linalg.norm(used - center, axis=1).max())
+        is_used = np.zeros(len(checked.vertices), bool)
+        is_used[checked.faces] = True
+        size = float(np.linalg.norm(checked.vertices[is_used] - center, axis=1).max())
     transform = np.eye(4)
     transform[:3, :3] /= size
     transform[:3, 3] = -center / size
