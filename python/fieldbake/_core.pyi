@@ -688,7 +688,7 @@ def raymarch_nested(
 
 @final
 class SceneField:
-    """Distances prepared for the rays of a scene; a copy."""
+    """Distances prepared for the rays of a scene; a copy, divided by its slope if it is clamped and far above 1."""
 
     def __new__(
         cls,
@@ -697,6 +697,7 @@ class SceneField:
         upper: tuple[float, float, float],
         inner_lower: tuple[float, float, float],
         inner_upper: tuple[float, float, float],
+        clamped: bool,
     ) -> SceneField: ...
     @staticmethod
     def nested(levels: list[SceneField]) -> SceneField:

@@ -47,12 +47,14 @@ impl SceneField {
         upper: [f64; 3],
         inner_lower: [f64; 3],
         inner_upper: [f64; 3],
+        clamped: bool,
     ) -> PyResult<Self> {
         let field = Field::new(&distances, lower, upper)?;
         let inner = [DVec3::from_array(inner_lower), DVec3::from_array(inner_upper)];
         let made = run(py, None, |progress| {
             let view = field.view()?;
-            SampledField::new(DenseField::new(*view.grid(), view.distances().to_vec())?, inner, progress)
+            let dense = DenseField::new(*view.grid(), view.distances().to_vec())?;
+            SampledField::new(if clamped { dense.clamped() } else { dense }, inner, progress)
         })?;
         Ok(Self(Arc::new(made)))
     }

@@ -136,6 +136,24 @@ def test_shadows_end_at_the_surface_of_a_field_of_any_values(shadows: str) -> No
     assert (frames[1].shadow[umbra] == 0).all()
     if shadows == "hard":
         assert np.array_equal(frames[0].shadow, frames[1].shadow)
+    # The penumbra is that of the distances: the scene divides the samples by their largest slope, which rounding makes
+    # larger than 4.
+    assert np.abs(frames[0].shadow - frames[1].shadow).max() <= 0.02
+
+
+def test_a_steep_field_casts_the_penumbra_of_its_distance() -> None:
+    """A plane of a slope of 3, tilted against all axes, casts the penumbra of its distance."""
+    x, y, z = np.meshgrid(*[(np.arange(64) + 0.5) / 32 - 1] * 3, indexing="ij")
+    tilted = ((x + y + z) / np.sqrt(3)).astype(np.float32)
+    camera = fb.Camera((2.0, 5.0, 3.0), (0.9, -1.0, 0.0), fov_deg=40)
+    frames = []
+    for factor in (1, 3):
+        field = fb.Volume(factor * tilted, [(-1, -1, -1), (1, 1, 1)])
+        scene = fb.Scene([fb.Instance(field), plane(y=-1.2)], lights=[fb.DirectionalLight(SUN, angle_deg=10)])
+        frames.append(fb.render(scene, camera, size=(200, 150), device="cpu"))
+    penumbra = (frames[0].shadow > 0.1) & (frames[0].shadow < 0.9)
+    assert penumbra.sum() > 50
+    assert np.abs(frames[0].shadow - frames[1].shadow).max() <= 0.02
 
 
 def test_hard_shadows_of_a_field_that_is_steep_along_diagonals() -> None:
@@ -146,7 +164,8 @@ def test_hard_shadows_of_a_field_that_is_steep_along_diagonals() -> None:
     frames = []
     for values in (steep, steep / 2):
         field = fb.Volume(values, [(-1, -1, -1), (1, 1, 1)])
-        scene = fb.Scene([fb.Instance(field), plane(y=-0.7)], lights=[fb.DirectionalLight((1.0, -1.0, 0.0))])
+        # No face is parallel to the light: rounding would decide there.
+        scene = fb.Scene([fb.Instance(field), plane(y=-0.7)], lights=[fb.DirectionalLight((1.0, -1.3, 0.1))])
         frames.append(fb.render(scene, camera, size=(240, 180), shadows="hard", device="cpu"))
     assert (frames[0].shadow[frames[0].object_id == 1] == 0).sum() > 500
     assert np.array_equal(frames[0].shadow, frames[1].shadow)

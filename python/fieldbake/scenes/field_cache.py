@@ -109,12 +109,20 @@ def of_mesh(mesh: Mesh, resolution: int, device: str, looks: Sequence[Look] | No
     return found
 
 
-def of_geometry(geometry: Volume | SparseVolume | NestedField | AtlasEntry | Shape) -> _core.SceneField:
-    """Field of an object that has one, converted for the core once."""
+def of_geometry(
+    geometry: Volume | SparseVolume | NestedField | AtlasEntry | Shape, clamped: bool = True
+) -> _core.SceneField:
+    """Field of an object that has one, converted for the core once.
+
+    A grid that is steeper than a distance is divided by its slope if it is `clamped`: cones past it would take its
+    values for clearances. Levels of one field stay equal where they meet, so they are not clamped.
+    """
     if isinstance(geometry, NestedField):
         return _core.SceneField.nested(levels_of(geometry))
     # The key of an entry includes the current contents of its atlas.
-    key: tuple[object, ...] = geometry._key if isinstance(geometry, AtlasEntry) else (type(geometry), id(geometry))
+    key: tuple[object, ...] = (
+        geometry._key if isinstance(geometry, AtlasEntry) else (type(geometry), id(geometry), clamped)
+    )
     found = _find(key)
     if found is not None:
         return found
@@ -129,12 +137,15 @@ def of_geometry(geometry: Volume | SparseVolume | NestedField | AtlasEntry | Sha
     if isinstance(geometry, SparseVolume):
         inner = (checks.triple(corner) for corner in geometry.inner_bounds)
         return _keep(key, _core.SceneField.sparse(geometry._core_field, *inner), geometry.nbytes, geometry)
-    return _keep(key, _field(geometry), geometry.nbytes, geometry)
+    return _keep(key, _field(geometry, clamped), geometry.nbytes, geometry)
 
 
 def levels_of(field: Volume | NestedField) -> list[_core.SceneField]:
     """List the fields of the levels of a nested field, finest first, or the one field of a volume."""
-    return [of_geometry(level) for level in (field._joined_levels() if isinstance(field, NestedField) else (field,))]
+    return [
+        of_geometry(level, clamped=False)
+        for level in (field._joined_levels() if isinstance(field, NestedField) else (field,))
+    ]
 
 
 def of_quadrics(quadrics: Sequence[Quadric]) -> list[_core.SceneField]:
@@ -209,10 +220,10 @@ def _is_rectangle(mesh: Mesh, axis: int) -> bool:
     return bool(abs(area - sides.prod()) <= 1e-4 * sides.prod())
 
 
-def _field(volume: Volume) -> _core.SceneField:
+def _field(volume: Volume, clamped: bool = True) -> _core.SceneField:
     lower, upper = volume._corners()
     inner = volume.inner_bounds
-    return _core.SceneField(volume._distances, lower, upper, checks.triple(inner[0]), checks.triple(inner[1]))
+    return _core.SceneField(volume._distances, lower, upper, checks.triple(inner[0]), checks.triple(inner[1]), clamped)
 
 
 def _find(key: object) -> _core.SceneField | None:
