@@ -15,9 +15,8 @@ Rows = NDArray[np.int64]
 #: Least number of points of a loop at which the loops around it are counted, if it has fewer edges.
 PROBES = 32
 
-
-#: Pairs of points and edges that are compared at once.
-BATCH = 1 << 20
+#: Points that are compared with all edges at once.
+BATCH = 1 << 12
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -114,27 +113,32 @@ def length(loop: Array) -> float:
     return float(np.hypot(*(loop - np.roll(loop, 1, axis=0)).T).sum())
 
 
-def windings(loop: Array, points: Array) -> Rows:
-    """Winding number of a loop around points (n, 2), (n,)."""
-    low, high = loop.min(axis=0), loop.max(axis=0)
-    found = np.zeros(len(points), np.int64)
-    rows = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
-    following = np.roll(loop, -1, axis=0)
-    step = max(1, BATCH // len(loop))
-    for first in range(0, len(rows), step):
-        some = rows[first : first + step]
-        at = points[some, None]
-        above, next_above = loop[:, 1] > at[..., 1], following[:, 1] > at[..., 1]
-        left = cross(following - loop, at - loop)
-        found[some] = (~above & next_above & (left > 0)).sum(axis=1) - (above & ~next_above & (left < 0)).sum(axis=1)
+def windings(loops: list[Array], places: Array, owners: Rows) -> Rows:
+    """Sum of the winding numbers of loops around points (n, 2), (n,), without the loop that owns each point."""
+    starts, ends = np.concatenate(loops), np.concatenate([np.roll(loop, -1, axis=0) for loop in loops])
+    numbers = np.repeat(np.arange(len(loops)), [len(loop) for loop in loops])
+    lower, upper = np.minimum(starts[:, 1], ends[:, 1]), np.maximum(starts[:, 1], ends[:, 1])
+    found = np.zeros(len(places), np.int64)
+    order = np.argsort(places[:, 1], kind="stable")
+    for first in range(0, len(order), BATCH):
+        rows = order[first : first + BATCH]
+        # An edge is compared with the points between the heights of its ends, which are neighbours in order.
+        begin, end = (np.searchsorted(places[rows, 1], heights) for heights in (lower, upper))
+        counts = end - begin
+        edge = np.repeat(np.arange(len(starts)), counts)
+        row = rows[np.arange(len(edge)) + np.repeat(begin - np.cumsum(counts) + counts, counts)]
+        left = cross((ends - starts)[edge], places[row] - starts[edge])
+        ascends = ends[edge, 1] > starts[edge, 1]
+        crossed = np.where(ascends, left > 0, left < 0) & (owners[row] != numbers[edge])
+        np.add.at(found, row, np.where(crossed, np.where(ascends, 1, -1), 0))
     return found
 
 
 def nested(loops: list[Array], *, oriented: bool) -> tuple[list[Array], bool]:
     """Keep the loops between the inside and the outside, with the material on their left.
 
-    A point is inside if the loops wind around it, in sum; if they are not `oriented`, if they wind an odd number of
-    times. The second result is False if loops cross each other; all of them are kept then.
+    A point is inside if the sum of the winding numbers is not 0; if the loops are not `oriented`, if it is odd. The
+    second result is False if loops cross each other; all of them are kept then.
     """
     if not loops:
         return [], True
@@ -145,24 +149,15 @@ def nested(loops: list[Array], *, oriented: bool) -> tuple[list[Array], bool]:
         shares = (np.arange(-(-PROBES // len(edges))) + 0.38) / -(-PROBES // len(edges))
         along = loop[(edges + 1) % len(loop)] - loop[edges]
         probes.append((loop[edges, None] + shares[:, None] * along[:, None]).reshape(-1, 2))
-    places = np.concatenate(probes)
-    owner = np.repeat(np.arange(len(loops)), [len(each) for each in probes])
-    around = np.zeros(len(places), np.int64)
-    for number, loop in enumerate(loops):
-        found = windings(loop, places)
-        around += np.where(owner == number, 0, found if oriented else np.abs(found))
-    kept, regular = [], True
-    for number, loop in enumerate(loops):
-        own = around[owner == number]
-        regular &= bool((own == own[0]).all())
+    owners = np.repeat(np.arange(len(loops)), [len(each) for each in probes])
+    around = windings(loops, np.concatenate(probes), owners)
+    kept, first = [], np.searchsorted(owners, np.arange(len(loops)))
+    for loop, outer in zip(loops, around[first].tolist(), strict=True):
         sign = 1 if area(loop) > 0 else -1
-        if not oriented:
-            outside, inside = own[0] % 2 > 0, own[0] % 2 == 0
-        else:
-            outside, inside = own[0] != 0, own[0] + sign != 0
+        outside, inside = (outer != 0, outer + sign != 0) if oriented else (outer % 2 != 0, outer % 2 == 0)
         if inside != outside:
             kept.append(loop if inside == (sign > 0) else loop[::-1])
-    return (kept, True) if regular else (loops, False)
+    return (kept, True) if (around == around[first][owners]).all() else (loops, False)
 
 
 def cut(loops: list[Array], lower: Array, upper: Array) -> list[Array]:
