@@ -35,7 +35,7 @@ def folder(tmp_path):
     (tmp_path / "assets").mkdir()
     ball = fb.bake(fb.sphere(0.5), 12).to_mesh()
     for name in ("bunny.obj", "a.glb", "b.glb", "assets/chair.glb", "assets/table.glb", "model.glb", "scene.glb",
-                 "scan.ply", "knot.obj", "gear.obj"):  # fmt: skip
+                 "scan.ply", "knot.obj", "gear.obj", "part.stl"):  # fmt: skip
         ball.save(tmp_path / name)
     return tmp_path
 

@@ -315,6 +315,7 @@ def test_progress_reaches_one():
         ({"geometry": fb.plane("z", 0)}, fb.ShapeError, "bounds"),
         ({"geometry": fb.Mesh(*meshes.flat_sheet())}, fb.ArgumentError, "bounds: the upper corner must exceed"),
         ({"geometry": 3}, fb.MeshError, "3"),
+        ({"device": "abacus"}, fb.DeviceError, "device: 'abacus' is unknown"),
         ({"device": 7}, fb.ArgumentError, "device: must be text"),
     ],
 )

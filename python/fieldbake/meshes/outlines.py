@@ -25,6 +25,9 @@ SNAP = 1e-9
 #: Rounding of float32 distances, as a fraction of the longest side of the box: half a unit in the last place is 3e-8.
 NOISE = 2e-7
 
+#: Largest distance of a vertex from the zero level because of the rounding, cells.
+STRAY = 5e-4
+
 #: Distance within which a corner counts as a point of a cell, cells.
 BESIDE = 1e-6
 
@@ -110,11 +113,12 @@ class PlaneField:
         become vertices: L. Kobbelt et al., "Feature Sensitive Surface Extraction from Volume Data" (2001), with the
         directions of the neighbouring segments in place of gradients.
         """
+        noise = min(self.noise, STRAY * min(float(np.diff(x).min()), float(np.diff(y).min())))
         # A ring of outside nodes at the same positions as the border.
-        values = np.pad(self.samples(x, y, self.noise), 1, constant_values=1.0)
+        values = np.pad(self.samples(x, y, noise), 1, constant_values=1.0)
         x, y = np.pad(x, 1, mode="edge"), np.pad(y, 1, mode="edge")
         width = len(x)
-        inside = values < -self.noise
+        inside = values < -noise
         code = inside[:-1, :-1] + 2 * inside[:-1, 1:] + np.uint8(4) * inside[1:, 1:] + np.uint8(8) * inside[1:, :-1]
         row, column = np.nonzero((code > 0) & (code < 15))
         if not len(row):

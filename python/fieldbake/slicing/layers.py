@@ -118,6 +118,7 @@ class Slices:
             )
         if count > MOST_LAYERS:
             raise ArgumentError(f"layer: {count} layers are more than {MOST_LAYERS}; use thicker layers, got {layer}")
+        self._solid.values(self._bounds[:1])  # raises an error if there is no such device
         self._size = (width, height)
         self._z = checks.frozen(self._bounds[0, 2] + (np.arange(count) + 0.5) * self._layer)
         self._images = lru_cache(KEPT)(self._draw)
@@ -258,8 +259,12 @@ class Slices:
         side = math.sqrt(self._pixel[0] * self._pixel[1])
         distances = self._field(index).samples(*self._places(0.5, 0), reach=0.5 * side)[::-1]
         inside = distances < 0
-        grey = np.rint(np.clip(127.5 - distances * np.float32(255 / side), 0, 255)).astype(np.uint8)
-        return checks.frozen(np.where(inside, np.maximum(grey, 128), np.minimum(grey, 127)))
+        shares = distances * np.float32(-255 / side)
+        shares += 127.5
+        image = np.rint(np.clip(shares, 0, 255, out=shares), out=shares).astype(np.uint8)
+        np.maximum(image, 128, out=image, where=inside)
+        np.minimum(image, 127, out=image, where=~inside)
+        return checks.frozen(image)
 
     def _trace(self, index: int) -> tuple[Array, ...]:
         found = None
