@@ -60,3 +60,18 @@ def dora(file: Path, near: int = 400_000) -> dict[str, Array]:
         sharp, rows = npz["sharp_near_surface"], npz["rand_points"]
         surfaces = {key: npz[f"fps_{key}_surface"][:, 0, :] for key in ("coarse", "sharp")}
     return {**surfaces, "near edges": sharp, "near": rows[:near], "cube": rows[near:]}
+
+
+def label_groups(name: str, found: dict[str, Array]) -> list[tuple[Array, Array]]:
+    """Points with labels that are negative inside, from the arrays of a recipe; occupancies become -1 and 1."""
+    if name == "deepsdf":
+        return [(rows[:, :3], rows[:, 3]) for rows in (found["pos"], found["neg"])]
+    if name == "onet":
+        bits = np.unpackbits(found["points/occupancies"])[: len(found["points/points"])]
+        return [(found["points/points"], 1.0 - 2 * bits)]
+    if name == "vecset":
+        return [(found[f"points/{one}_points"], 1.0 - 2 * found[f"points/{one}_label"]) for one in ("vol", "near")]
+    if name == "dora":
+        return [(rows[:, :3], -rows[:, 3]) for rows in (found["sharp_near_surface"], found["rand_points"])]
+    names = ("vol", "random_near", "sharp_near")
+    return [(found[f"sdf/{one}_points"], -found[f"sdf/{one}_label"].astype(np.float64)) for one in names]

@@ -7,6 +7,7 @@ import fieldbake as fb
 import meshes
 import truth
 from fieldbake.scaling import recipes, rules
+from project_loaders import label_groups
 
 #: Bound of the acceptance on labels in the space of a recipe, whose size is about 1.
 EXACT = 1e-5
@@ -64,21 +65,6 @@ SMALL = {
 }
 
 
-def label_groups(name, found):
-    """Points, labels with the sign of distances, and the rounding of a label; occupancies become -1 and 1."""
-    if name == "deepsdf":
-        return [(rows[:, :3], rows[:, 3]) for rows in (found["pos"], found["neg"])]
-    if name == "onet":
-        bits = np.unpackbits(found["points/occupancies"])[: len(found["points/points"])]
-        return [(found["points/points"], 1.0 - 2 * bits)]
-    if name == "vecset":
-        return [(found[f"points/{one}_points"], 1.0 - 2 * found[f"points/{one}_label"]) for one in ("vol", "near")]
-    if name == "dora":
-        return [(rows[:, :3], -rows[:, 3]) for rows in (found["sharp_near_surface"], found["rand_points"])]
-    names = ("vol", "random_near", "sharp_near")
-    return [(found[f"sdf/{one}_points"], -found[f"sdf/{one}_label"].astype(np.float64)) for one in names]
-
-
 def wrong_labels(name, found, vertices, faces):
     """Largest error of the distances beyond the rounding of their type, and the number of wrong sides."""
     reference = truth.Reference(vertices, faces)
@@ -101,7 +87,7 @@ def wrong_labels(name, found, vertices, faces):
 @pytest.mark.parametrize("shape", [*CLOSED, *OPEN])
 def test_labels_are_exact_at_the_stored_points(name, shape):
     vertices, faces = placed({**CLOSED, **OPEN}[shape], 1 + len(shape))
-    found = fb.training.sample((vertices, faces), name, sign="winding", **SMALL[name])
+    found = fb.training.sample((vertices, faces), name, **SMALL[name])
     matrix = fb.training.recipes()[name].transform((vertices, faces))
     worst, wrong = wrong_labels(name, found, vertices @ matrix[:3, :3].T + matrix[:3, 3], faces)
     assert worst <= EXACT

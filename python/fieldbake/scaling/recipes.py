@@ -90,7 +90,7 @@ class Recipe:
         origin, size = _frame_of(self, _with_faces(mesh), checked_numbers(self, numbers))
         matrix = np.eye(4)
         matrix[:3, :3] /= size
-        matrix[:3, 3] = -origin / size
+        matrix[:3, 3] = -origin / size + 0.0  # no negative zeros
         return matrix
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -226,7 +226,7 @@ _DEEPSDF = _recipe(
     numbers={"n": 500_000, "variances": (0.005, 0.0005), "near_share": 0.94, "padding": 1.03, "split": "train"},
     deviations=(
         _LABELS.format(
-            project="in place of votes of the 11 nearest rendered points, which drop points without majority"
+            project="in place of votes of the 11 nearest rendered points, which drop points whose votes differ"
         ),
         "No mesh is rejected. The project rejects meshes whose rendered faces are seen from behind.",
         "The paper states variances of 0.0025 and 0.00025; the code has 0.005 and 0.0005, which are taken.",
@@ -332,7 +332,9 @@ _HUNYUAN = _recipe(
         "shell_resolution": 256,
     },
     deviations=(
-        _LABELS.format(project="in place of libigl's fast winding number"),
+        _LABELS.format(
+            project="in place of libigl's, which are distances times 1 - 2 |w| of an approximate winding number w"
+        ),
         _STORED.format(
             project="The project evaluates them before the points are rounded to float16, which moves a point by up to "
             "2.4e-4 in [0.5, 1), a quarter of the smallest offset."
