@@ -30,6 +30,7 @@
     allow(dead_code, unused_imports, reason = "the bindings alone use some of the inner items")
 )]
 
+pub mod assembly;
 pub mod atlas;
 pub mod bake;
 mod bvh;

@@ -25,7 +25,7 @@ mod surface;
 mod thickness;
 
 pub use inside::{contains, winding_numbers};
-pub use nearest::{ClosestPoints, Query, closest_points, query};
+pub use nearest::{ClosestPoints, Nearest, Query, Search, closest_points, query};
 pub use precise::{precise_signed_distances, refined};
 pub use ray_list::Rays;
 pub use rays::{Intersections, RayHits, all_intersections, cast_rays, count_intersections, occluded};
@@ -45,7 +45,7 @@ use std::mem::MaybeUninit;
 use std::ops::Deref;
 
 /// Number of points of a task.
-const CHUNK: usize = 1024;
+pub(crate) const CHUNK: usize = 1024;
 /// Number of rows from a prefetch to its use.
 const AHEAD: usize = 8;
 /// Largest number of points that are processed in their own order, by the calling thread.
@@ -259,7 +259,7 @@ fn answer_in_order<T: Copy + Send>(
 }
 
 /// Rows in order of the Morton code, or in their own order if there are too few.
-fn curve(points: &[[f64; 3]], progress: &Progress) -> Result<Vec<u32>, Error> {
+pub(crate) fn curve(points: &[[f64; 3]], progress: &Progress) -> Result<Vec<u32>, Error> {
     if points.len() <= FEW {
         return Ok((0..points.len() as u32).collect());
     }

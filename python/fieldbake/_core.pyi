@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "Bodies",
     "DeviceField",
     "DevicePages",
     "Mesh",
@@ -125,6 +126,44 @@ class Mesh:
         ``flipped_faces``, ``duplicate_faces``, ``degenerate_faces`` (dropped), ``dropped_vertices`` (not finite,
         unused), ``components``, ``closed`` (bool).
         """
+
+@final
+class Bodies:
+    """The geometry of rigid bodies."""
+
+    def __new__(cls, count: int, elements: list[tuple[int, Mesh | Shape, list[list[float]], float]]) -> Bodies:
+        """``elements``: the body, the geometry, its transform (4, 4) to the body, and the scale of the transform."""
+    def distance(
+        self,
+        poses: NDArray[np.float64],
+        points: NDArray[np.float64],
+        *,
+        paired: bool,
+        searched: list[bool],
+        progress: Callable[[float], object] | None = None,
+    ) -> NDArray[np.float64]:
+        """Signed distances (k,) of points (m, 3); ``poses`` are world-from-body (configurations * bodies, 4, 4).
+
+        k is the number of configurations times that of points. With ``paired`` the first points are those of the first
+        configuration, and k is the number of points.
+        """
+    def query(
+        self,
+        poses: NDArray[np.float64],
+        points: NDArray[np.float64],
+        *,
+        paired: bool,
+        searched: list[bool],
+        progress: Callable[[float], object] | None = None,
+    ) -> tuple[
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.int64],
+        NDArray[np.int64],
+        NDArray[np.float64],
+    ]:
+        """Signed distances (k,), gradients (k, 3), nearest points (k, 3), elements (k,), faces (k,), weights (k, 3)."""
 
 def bake(
     mesh: Mesh,

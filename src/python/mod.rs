@@ -5,6 +5,7 @@
 
 #![expect(clippy::too_many_arguments, reason = "a Python function has an argument for each keyword")]
 
+mod assembly;
 mod atlas;
 mod bake;
 mod convert;
@@ -31,6 +32,8 @@ use pyo3::prelude::*;
 /// Registers all exported functions and classes.
 #[pymodule]
 mod _core {
+    #[pymodule_export]
+    use super::assembly::Bodies;
     #[pymodule_export]
     use super::atlas::{
         DevicePages, atlas_clear, atlas_entries, atlas_pack_device, atlas_plan, atlas_read, atlas_sample, atlas_shader,

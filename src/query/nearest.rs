@@ -9,7 +9,7 @@
 //! the surface the side follows from the pseudonormal and float64 positions: the sign rule determines the sides in
 //! front of and behind the surface, and the pseudonormal determines on which of them the point lies.
 
-use super::{CHUNK, Walk, answer_in_order, check_points, prepare};
+use super::{CHUNK, SLACK, Walk, answer_in_order, check_points, prepare};
 use crate::bake::Report;
 use crate::bvh::nearest::closest::ClosestPoint;
 use crate::error::Error;
@@ -146,6 +146,65 @@ pub fn query(
     found.report.seconds = vec![("prepare", prepared), ("query", started.elapsed().as_secs_f64() - prepared)];
     found.report.peak_bytes = mesh.bytes() + count * size_of::<(u32, (ClosestPoint, [f64; 4], [f64; 7]))>() * 2;
     Ok(found)
+}
+
+/// The nearest surface point of one position.
+#[derive(Debug, Clone, Copy)]
+pub struct Nearest {
+    /// Negative inside, world units.
+    pub distance: f64,
+    /// Unit gradient of the signed distance.
+    pub gradient: DVec3,
+    /// World position.
+    pub point: DVec3,
+    /// Index into the mesh's faces.
+    pub face: u32,
+    /// Weights of the face's corners.
+    pub weights: [f64; 3],
+}
+
+/// A search of one mesh at one position after another, by the winding number. Positions that follow each other share
+/// work if they are near each other; the results do not depend on their order.
+pub struct Search<'a> {
+    walk: Walk<'a>,
+    rule: &'a SignRule,
+}
+
+impl<'a> Search<'a> {
+    /// A search that has visited no position.
+    pub fn new(mesh: &'a Mesh) -> Self {
+        let walk = Walk { mesh, faces: &[], last: None, sides: SideWalk::default() };
+        Self { walk, rule: &mesh.winding_choice().rule }
+    }
+
+    /// The nearest surface point of a world position; none if its signed distance certainly exceeds `limit`, world
+    /// units.
+    pub fn nearest(&mut self, p: DVec3, limit: f64) -> Option<Nearest> {
+        let mesh = self.walk.mesh;
+        let p = mesh.local_from_world(p);
+        let bound = self.walk.bound(p);
+        // The slack exceeds NEAR, so the side of a point that is left out does not depend on float32 positions.
+        let least = (limit / mesh.scale()) * (1.0 + SLACK.0) + SLACK.1;
+        let closest = if limit >= 0.0 && least < bound {
+            let found = mesh.exact_closest_point_within(p, least).filter(|found| found.distance <= least);
+            if found.is_none() && !self.walk.sides.is_inside_without_distance(self.rule, mesh, p) {
+                return None;
+            }
+            found.unwrap_or_else(|| mesh.exact_closest_point(p, bound))
+        } else {
+            mesh.exact_closest_point(p, bound)
+        };
+        self.walk.last = Some(closest.on_triangle.point);
+        let (inside, gradient) = side_and_gradient(&mut self.walk, self.rule, p, &closest);
+        let distance = closest.distance * mesh.scale();
+        Some(Nearest {
+            distance: if inside && distance > 0.0 { -distance } else { distance },
+            gradient,
+            point: mesh.world_from_local(closest.on_triangle.point),
+            face: closest.face,
+            weights: closest.on_triangle.weights,
+        })
+    }
 }
 
 /// Whether a point is inside, and the unit gradient of its signed distance.

@@ -26,6 +26,7 @@ LAYERS = [
     "solid",
     "query",
     "csg",
+    "assembly",
     "quadric",
     "merge",
     "scene",

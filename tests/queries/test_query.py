@@ -147,7 +147,7 @@ def test_leading_shapes_are_kept(random):
 def test_no_points_no_answers():
     cube = meshes.box()
 
-    assert [array.shape for array in fb.query(cube, np.empty((0, 3)))[:-1]] == [(0,), (0, 3), (0, 3), (0,), (0, 3)]
+    assert [array.shape for array in fb.query(cube, np.empty((0, 3)))[:5]] == [(0,), (0, 3), (0, 3), (0,), (0, 3)]
     assert fb.contains(cube, []).shape == (0,)
     assert fb.winding_number(cube, np.empty((5, 0, 3))).shape == (5, 0)
 
@@ -159,7 +159,7 @@ def test_one_point_equals_many(random):
 
     for row in range(0, 3000, 300):
         alone = fb.query(knot, points[row])
-        for one, many in zip(alone[:-1], together[:-1], strict=True):
+        for one, many in zip(alone[:5], together[:5], strict=True):
             assert np.array_equal(one, many[row])
 
 

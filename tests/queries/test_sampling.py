@@ -69,7 +69,7 @@ import fieldbake as fb
 fb.set_threads(int(sys.argv[1]))
 knot = fb.models.torus_knot(segments=96, sides=12)
 points = np.random.default_rng(1).uniform(-2, 2, (5000, 3))
-found = [*fb.sample_surface(knot, 50_000), *fb.query(knot, points)[:-1], *fb.cast_rays(knot, points, -points)]
+found = [*fb.sample_surface(knot, 50_000), *fb.query(knot, points)[:5], *fb.cast_rays(knot, points, -points)]
 found += [*fb.sample_training(knot, 3000), fb.contains(knot, points), fb.bake(knot, 24).distances]
 import hashlib
 print(hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in found)).hexdigest())

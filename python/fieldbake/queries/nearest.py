@@ -16,7 +16,7 @@ from ..base.notices import warn_surface
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
 from ..meshes.convert import MeshLike
-from .common import Sign, checked_points, choices, shaped, source_faces, warn_of_signs
+from .common import Queryable, Sign, checked_points, choices, shaped, source_faces, warn_of_signs
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +80,8 @@ class Query(NamedTuple):
     barycentric: NDArray[np.float64]
     #: Properties of the surface and cost of the work, as for a bake.
     report: Report
+    #: Index in `Scene.instances` of the instance that contains the closest point, (...) int64; None for a mesh.
+    instances: NDArray[np.int64] | None = None
 
 
 def closest_point(
@@ -146,8 +148,10 @@ def query(
 
     Parameters
     ----------
-    mesh : Mesh or anything :func:`bake` takes
-        Pass the same `Mesh` to several calls: its search tree is built once.
+    mesh : Mesh, Scene or anything :func:`bake` takes
+        Pass the same `Mesh` to several calls: its search tree is built once. The distance of a scene is the smallest
+        one over its instances, which are meshes and shapes under rotations, translations, reflections and uniform
+        scales. A shape that is not exact counts as its closed mesh.
     points : (..., 3) real
         World positions.
     sign, progress
@@ -159,12 +163,15 @@ def query(
     -------
     Query
         Signed distances, unit gradients, closest points, faces, barycentric coordinates, and a report that names the
-        device.
+        device. For a scene `instances` has the index of the nearest instance, and `faces` the row in its mesh, -1 for
+        an exact shape.
 
     Raises
     ------
     MeshError, ArgumentError, DeviceError
         As for :func:`bake`; ArgumentError also for a point that is not finite.
+    SceneError
+        For an instance whose transform is not a similarity, or with an object other than a mesh or a shape.
 
     Warns
     -----
@@ -178,6 +185,9 @@ def query(
     medial axis) the distance has no gradient, and the one of the face with the lowest row is returned.
     With ``sign="unsigned"`` distances are unsigned and gradients those of the unsigned distance.
 
+    A scene is searched on the CPU, by the winding number. Where instances overlap, the distance is the depth in one of
+    them, not the distance from the surface of their union.
+
     Examples
     --------
     >>> import fieldbake
@@ -189,6 +199,8 @@ def query(
     >>> found.report.inside_points
     1
     """
+    if isinstance(mesh, Queryable):
+        return mesh._query(points, sign=sign, device=device, progress=progress)
     method, where = choices(sign, device)
     checked, flat, shape = checked_points(mesh, points)
     with progress_callback(progress, "query") as callback:
@@ -239,8 +251,8 @@ def signed_distance(
 
     Parameters
     ----------
-    mesh : Mesh or anything :func:`bake` takes
-        Pass the same `Mesh` to several calls: its search tree is built once.
+    mesh : Mesh, Scene or anything :func:`bake` takes
+        Pass the same `Mesh` to several calls: its search tree is built once. A scene is evaluated as by :func:`query`.
     points : (..., 3) real
         World positions.
     sign, progress
@@ -274,6 +286,8 @@ def signed_distance(
     >>> signed_distance(tetrahedron, [(0, 0, -2), (0.25, 0.25, 0.125)]).tolist()
     [2.0, -0.125]
     """
+    if isinstance(mesh, Queryable):
+        return mesh._query(points, sign=sign, device=device, progress=progress).distances.astype(np.float32)
     method, where = choices(sign, device)
     is_double = checks.choice("dtype", dtype, get_args(DistanceType)) == "float64"
     checked, flat, shape = checked_points(mesh, points)

@@ -11,12 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from ..base import checks
 from ..base.errors import MeshError, SceneError
+from ..base.progress import Progress
 from ..base.report import count_text
 from ..base.viewable import Viewable
+from ..queries.nearest import Query
 from .camera import Camera
 from .core_scene import Fields, SceneBuilder
 from .instance import Instance
 from .lights import AMBIENT, BACKGROUND, Light, check_lights
+from .queries import SceneGeometry
 from .surroundings import Ambient, checked_ambient, form_of
 
 
@@ -85,6 +88,8 @@ class Scene(Viewable):
         # Scenes of the core, by the fields that they contain, and the objects that they share.
         self._cores: dict[Fields, _core.Scene] = {}
         self._builder = SceneBuilder()
+        #: The search trees of queries, made by the first one.
+        self._geometry: SceneGeometry | None = None
         #: Draws single pictures of the scene, and keeps it on the device that drew the last one.
         self._renderer = _core.Renderer()
 
@@ -113,6 +118,12 @@ class Scene(Viewable):
         """Box around all instances, (2, 3), world units."""
         boxes = np.stack([instance.bounds for instance in self._instances])
         return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+
+    def _query(self, points: ArrayLike, *, sign: str, device: str, progress: Progress) -> Query:
+        """Evaluate :func:`fieldbake.query` of the instances."""
+        if self._geometry is None:
+            self._geometry = SceneGeometry(self._instances)
+        return self._geometry.query(points, sign, device, progress)
 
     def _core_of(self, instances: Sequence[Instance], fields: Fields, device: str) -> _core.Scene:
         """Make the scene of the core for other instances of the same objects."""

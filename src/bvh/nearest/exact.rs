@@ -112,16 +112,23 @@ impl Mesh {
     /// The closest point to a local position over all faces, in float64. `bound` must be at least the distance;
     /// infinity is valid.
     pub fn exact_closest_point(&self, p: DVec3, bound: f64) -> ClosestPoint {
+        // A bound that is too small leaves no candidate. The unbounded search always finds one.
+        self.exact_closest_point_within(p, bound).unwrap_or_else(|| self.closest_point_from_afar(p))
+    }
+
+    /// [`Mesh::exact_closest_point`] for any bound: none if no face is within it. A point beyond the bound may be
+    /// found, and is not the closest one then.
+    pub fn exact_closest_point_within(&self, p: DVec3, bound: f64) -> Option<ClosestPoint> {
         if p.abs().max_element() > FAR {
-            return self.closest_point_from_afar(p);
+            return Some(self.closest_point_from_afar(p));
         }
-        with_vectors!((mesh: &Mesh = self, p: DVec3 = p, bound: f64 = bound) -> ClosestPoint {
+        with_vectors!((mesh: &Mesh = self, p: DVec3 = p, bound: f64 = bound) -> Option<ClosestPoint> {
             mesh.exact_closest_point_near(p, bound)
         })
     }
 
     #[inline(always)]
-    fn exact_closest_point_near(&self, p: DVec3, bound: f64) -> ClosestPoint {
+    fn exact_closest_point_near(&self, p: DVec3, bound: f64) -> Option<ClosestPoint> {
         let bvh = self.distance_bvh(p.abs().max_element());
         let p_single = p.as_vec3();
         let slack = Bvh::nearest_slack(p.abs().max_element());
@@ -146,8 +153,7 @@ impl Mesh {
         });
         candidates.drop_beyond(limit);
         candidates.compare_kept();
-        // A bound that is too small leaves no candidate. The unbounded search always finds one.
-        candidates.best.unwrap_or_else(|| self.closest_point_from_afar(p))
+        candidates.best
     }
 
     /// The closest point by float64 boxes, for points outside the range of the float32 search.

@@ -3,6 +3,7 @@
 pub(crate) mod carried_boxes;
 pub(crate) mod cells;
 pub(crate) mod chord;
+pub(crate) mod closed_form;
 pub(crate) mod decompose;
 pub(crate) mod octree;
 pub(crate) mod part;

@@ -1,0 +1,73 @@
+"""The geometry of a body in a form that the core searches: triangles, or a closed form."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base import checks
+from ..base.errors import ArgumentError, Error
+from ..meshes.convert import as_mesh
+from ..meshes.mesh import Mesh
+from ..shapes.shape import Shape
+from ..volumes.grid_field import GridField
+
+#: Largest deviation of a rigid transform from an orthonormal matrix, and from determinant 1.
+RIGID = 1e-6
+
+
+def searchable(geometry: Any, resolution: int) -> tuple[Mesh | Shape, float]:
+    """Convert any geometry to a mesh or an exact shape.
+
+    Parameters
+    ----------
+    geometry : Mesh, Shape, volume, or anything that `as_mesh` takes
+        An exact shape stays a closed form. Another shape, and a volume, becomes its closed mesh.
+    resolution : int
+        Voxels along the longest side of the closed mesh of a shape.
+
+    Returns
+    -------
+    (Mesh or Shape, float)
+        The geometry, and the largest value of the source's field on the closed mesh, at vertices and centres of faces;
+        0 for geometry that is not converted.
+    """
+    if isinstance(geometry, Shape):
+        if geometry.exact:
+            return geometry, 0.0
+        mesh = geometry.to_mesh(resolution, progress=False)
+        return mesh, _deviation(mesh, geometry.distance)
+    if isinstance(geometry, GridField):
+        mesh = geometry.to_mesh(progress=False)
+        return mesh, _deviation(mesh, geometry.sample)
+    return as_mesh(geometry), 0.0
+
+
+def _deviation(mesh: Mesh, field: Any) -> float:
+    if not len(mesh.faces):
+        raise ArgumentError("the geometry has no surface at this resolution; raise shape_resolution")
+    points = np.concatenate([mesh.vertices, mesh.vertices[mesh.faces].mean(axis=1)])
+    return float(np.abs(field(points)).max())
+
+
+def rigid(name: str, value: Any, error: type[Error] = ArgumentError) -> NDArray[np.float64]:
+    """Check one rigid transform (4, 4)."""
+    transform = checks.matrix(name, value, (4, 4), error)
+    check_rigid(name, transform, error)
+    return transform
+
+
+def check_rigid(name: str, transforms: NDArray[np.float64], error: type[Error] = ArgumentError) -> None:
+    """Raise an error that names the first transform of (..., 4, 4) that is not rigid. NaN is not rigid."""
+    turn = transforms[..., :3, :3]
+    deviation = np.abs(np.swapaxes(turn, -1, -2) @ turn - np.eye(3)).max(axis=(-1, -2), initial=0)
+    handed = np.abs(np.linalg.det(turn) - 1) <= RIGID
+    last = np.abs(transforms[..., 3, :] - (0, 0, 0, 1)).max(axis=-1, initial=0)
+    finite = np.isfinite(transforms).all(axis=(-1, -2))
+    good = (deviation <= RIGID) & handed & (last <= RIGID) & finite
+    if not good.all():
+        row = tuple(np.argwhere(~good)[0].tolist())
+        place = f"{name}[{', '.join(map(str, row))}]" if row else name
+        raise error(f"{place}: must be a rotation and a translation, got {transforms[row].tolist()}")
