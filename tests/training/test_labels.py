@@ -94,7 +94,13 @@ def test_labels_are_exact_at_the_stored_points(name, shape):
     assert wrong == 0
 
 
-@pytest.mark.parametrize("shape", ["slab", "ball", "gear", "half ball", "sheet"])
+@pytest.mark.parametrize(
+    "shape",
+    [
+        name if name in ("slab", "ball", "half ball", "sheet") else pytest.param(name, marks=pytest.mark.slow)
+        for name in (*CLOSED, *OPEN)
+    ],
+)
 def test_labels_of_hunyuan_belong_to_its_shell(shape):
     vertices, faces = {**CLOSED, **OPEN}[shape]
     recipe = fb.training.recipes()["hunyuan"]
