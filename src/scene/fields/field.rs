@@ -312,7 +312,7 @@ impl DenseField {
 
     /// The field divided by its slope, if that exceeds [`STEEP`]. The surface stays where it is, and cones past it no
     /// longer take its values for clearances that it does not have.
-    pub fn clamped(mut self) -> Self {
+    pub(crate) fn clamped(mut self) -> Self {
         let slope = self.slope();
         if slope > STEEP && slope.is_finite() {
             self.samples.par_iter_mut().for_each(|sample| *sample = (f64::from(*sample) / slope) as f32);
