@@ -19,7 +19,7 @@ from ..base.grid import Grid
 from ..base.notices import warn_surface
 from ..base.optional import optional_module
 from ..base.report import Report
-from ..meshes import facts
+from ..meshes import measures
 from ..meshes.isosurface import extract
 from ..meshes.mesh import Mesh
 from ..queries.common import Sign
@@ -282,7 +282,7 @@ def _edge_points(drawing: Drawing, angle_deg: float, count: int) -> Array:
     positions, faces, edges = sharp_edges(drawing.mesh, angle_deg)
     if not len(edges.faces):
         return drawing.surface_instead(count)
-    normals = facts.vertex_normals(positions, faces.astype(np.uint32))
+    normals = measures.vertex_normals(positions, faces.astype(np.uint32))
     corners = np.unique(edges.vertices)
     known = np.concatenate([positions[corners], normals[corners]], axis=1)
     missing = max(0, count - len(corners))
