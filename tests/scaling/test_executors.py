@@ -124,10 +124,10 @@ def test_the_threads_of_a_bake_are_those_of_the_bake_alone(mesh, tmp_path, monke
     counts = []
     monkeypatch.setattr(_core, "set_threads", counts.append)
     monkeypatch.setattr(threads, "_limit", 0)
-    bake(tmp_path / "k.zarr", mesh, workers=1, executor=executor)
+    bake(tmp_path / "k.zarr", mesh, threads=1, executor=executor)
     assert counts == [1, 0]
     fb.set_threads(2)
-    bake(tmp_path / "k.zarr", mesh, workers=1, executor=executor, resume=False)
+    bake(tmp_path / "k.zarr", mesh, threads=1, executor=executor, resume=False)
     assert counts[2:] == [2, 1, 2]
 
 

@@ -136,7 +136,7 @@ def test_a_thin_solid_that_needs_its_field_warns_with_a_resolution_that_has_its_
     assert abs(area - SIDE**2 / 2) <= AREA_ERROR
 
 
-@pytest.mark.parametrize("options", [{"primary": "raymarch"}, {"method": "article"}])
+@pytest.mark.parametrize("options", [{"primary": "raymarch"}])
 def test_a_picture_of_the_field_of_a_thin_solid_warns(options: dict[str, str]) -> None:
     with pytest.warns(fb.SurfaceWarning, match="thinner than"):
         fb.render(fb.Scene([plate(0.05)]), size=(16, 12), device="cpu", **options)
