@@ -4,6 +4,7 @@ import hashlib
 import json
 import multiprocessing
 import pickle
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import pytest
 import assets
 import fieldbake as fb
 import meshes
+from digests import digest, digest_of, digest_of_batch
 
 SMALL = {"n": 400, "near_n": 300, "surface_n": 200}
 
@@ -20,19 +22,6 @@ STARTS = ["spawn", "fork"]
 
 def library():
     return {"box": meshes.box(), "ball": meshes.icosphere(2), "small": assets.box(0.5), "open": meshes.open_box()}
-
-
-def digest(arrays):
-    """A hash of names, types, shapes and bytes."""
-    text = hashlib.sha256()
-    for name, array in arrays.items():
-        text.update(f"{name} {array.dtype} {array.shape}".encode())
-        text.update(array.tobytes())
-    return text.hexdigest()
-
-
-def digest_of(data, index):
-    return digest(data[index])
 
 
 @pytest.fixture
@@ -59,8 +48,9 @@ def test_items_are_the_samples_of_their_seeds(data):
 @pytest.mark.parametrize("start", STARTS)
 def test_workers_draw_the_same_bytes(data, expected, start):
     order = [2, 0, 3, 1]
-    with multiprocessing.get_context(start).Pool(2) as pool:
-        found = pool.starmap(digest_of, [(data, index) for index in order])
+    # Unlike a pool of multiprocessing, this one raises an error if a worker ends.
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context(start)) as pool:
+        found = list(pool.map(digest_of, [data] * len(order), order))
     assert found == [expected[index] for index in order]
 
 
@@ -152,8 +142,6 @@ def test_broken_items_fail_alone_and_wrong_numbers_before_any_work(tmp_path):
 
 
 def test_a_pool_draws_the_same(tmp_path):
-    from concurrent.futures import ProcessPoolExecutor
-
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
         fb.training.sample_many(library(), tmp_path, "deepsdf", seed=5, executor=pool, n=300)
     found = fb.training.Dataset(tmp_path, "deepsdf")
@@ -238,12 +226,6 @@ def torch():
     return pytest.importorskip("torch")
 
 
-def only(batch):
-    """A batch of one item as its hash. The function has a module, so spawned workers can import it."""
-    (arrays,) = batch
-    return digest(arrays)
-
-
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:This DataLoader will create 4 worker processes")  # more than cores, on purpose
 @pytest.mark.parametrize(("workers", "start"), [(0, None), (1, "spawn"), (4, "spawn"), (1, "fork"), (4, "fork")])
@@ -255,7 +237,7 @@ def test_torch_loads_the_same_bytes(torch, data, expected, workers, start, shuff
         shuffle=shuffle,
         num_workers=workers,
         multiprocessing_context=start,
-        collate_fn=only,
+        collate_fn=digest_of_batch,
         generator=torch.Generator().manual_seed(0),
     )
     found = list(loader)
