@@ -12,6 +12,9 @@ from . import (
     training as training,
 )
 from ._core import __version__ as __version__
+from .assemblies.assembly import Assembly as Assembly
+from .assemblies.joint import Joint as Joint
+from .assemblies.results import AssemblyQuery as AssemblyQuery
 from .atlases.atlas import Atlas as Atlas, AtlasEntry as AtlasEntry
 from .atlases.packing import pack as pack
 from .baking.dense import bake as bake

@@ -16,11 +16,13 @@ from typing import Any
 
 import numpy as np
 
+from .assemblies.assembly import Assembly
+from .assemblies.derivatives import linearize_assembly
 from .base.optional import optional_module
 from .meshes.mesh import Mesh
 from .queries.derivatives import interpolate, linearize, vertex_changes
 
-__all__ = ["sample", "signed_distance"]
+__all__ = ["assembly_distance", "assembly_poses", "sample", "signed_distance"]
 
 
 def signed_distance(vertices: Any, faces: Any, points: Any, mesh: Mesh | None = None) -> Any:
@@ -111,6 +113,135 @@ def sample(distances: Any, bounds: Any, points: Any) -> Any:
     low = numbers.minimum(numbers.floor(jax.lax.stop_gradient(grid)).astype(int), np.maximum(shape - 2, 0))
     high = numbers.minimum(low + 1, shape - 1)
     return interpolate(distances, grid, low, high)
+
+
+def assembly_poses(assembly: Assembly, values: Any) -> Any:
+    """Compute the poses of all bodies of an assembly, differentiable in the joint values.
+
+    Parameters
+    ----------
+    assembly : Assembly
+        Bodies and joints.
+    values : (..., m) array of floats
+        Joint values in the order of `Assembly.joint_names`.
+
+    Returns
+    -------
+    (..., n, 4, 4) array
+        World-from-body poses in the dtype of `values`, as :meth:`fieldbake.Assembly.poses`.
+
+    Raises
+    ------
+    Error
+        If JAX is not installed.
+    ArgumentError
+        For a wrong number of values.
+
+    Examples
+    --------
+    >>> import jax
+    >>> import fieldbake as fb
+    >>> from fieldbake.jax import assembly_poses
+    >>> arm = fb.Assembly({"a": (), "b": ()}, [fb.Joint("slide", "prismatic", "a", "b", axis=(0, 0, 1))])
+    >>> jax.grad(lambda values: assembly_poses(arm, values)[1, 2, 3])(jax.numpy.array([0.5])).tolist()
+    [1.0]
+    """
+    jax = optional_module("jax", "fieldbake.jax", extra="jax")
+    return assembly._forward(jax.numpy.asarray(values), jax.numpy)
+
+
+def assembly_distance(assembly: Assembly, poses: Any, points: Any) -> Any:
+    """Evaluate the smallest signed distance over the bodies, differentiable in poses and points.
+
+    Parameters
+    ----------
+    assembly : Assembly
+        Bodies with their geometry.
+    poses : (n, 4, 4) or (b, n, 4, 4) array of floats
+        Rigid world-from-body poses, orthonormal to 1e-6.
+    points : (..., 3) array of floats
+        World positions, the same for each configuration.
+
+    Returns
+    -------
+    (...) or (b, ...) array
+        Signed distances in the dtype of `points`, world units, negative inside.
+
+    Raises
+    ------
+    Error
+        If JAX is not installed.
+    ArgumentError
+        As for :meth:`fieldbake.Assembly.query`.
+
+    Notes
+    -----
+    The derivatives are those of :func:`fieldbake.torch.assembly_distance`. Only reverse mode is provided.
+
+    Examples
+    --------
+    >>> import jax
+    >>> import fieldbake as fb
+    >>> from fieldbake.jax import assembly_distance
+    >>> ball = fb.Assembly({"ball": fb.sphere(1)})
+    >>> poses = jax.numpy.eye(4)[None]
+    >>> jax.grad(lambda p: assembly_distance(ball, poses, p))(jax.numpy.array([0.0, 0.0, 3.0])).tolist()
+    [0.0, 0.0, 1.0]
+    """
+    jax = optional_module("jax", "fieldbake.jax", extra="jax")
+    return _assembly_function()(assembly, jax.numpy.asarray(poses), jax.numpy.asarray(points))
+
+
+@cache
+def _assembly_function() -> Any:
+    """The function of :func:`assembly_distance` with its reverse-mode derivative."""
+    jax = optional_module("jax", "fieldbake.jax", extra="jax")
+
+    def evaluate(assembly: Assembly, poses: Any, points: Any) -> Any:
+        shape, kind = (*poses.shape[:-3], *points.shape[:-1]), points.dtype
+        result = (
+            jax.ShapeDtypeStruct(shape, kind),
+            jax.ShapeDtypeStruct((*shape, 3), kind),
+            jax.ShapeDtypeStruct(shape, jax.numpy.int32),
+            jax.ShapeDtypeStruct((*shape, 4), poses.dtype),
+        )
+
+        def on_host(poses: Any, points: Any) -> Any:
+            found = linearize_assembly(assembly, np.asarray(poses), np.asarray(points))
+            return (
+                found.distances,
+                found.gradients,
+                found.bodies.astype(np.int32),
+                found.local.astype(poses.dtype),
+            )
+
+        return jax.pure_callback(on_host, result, poses, points, vmap_method="sequential")
+
+    @partial(jax.custom_vjp, nondiff_argnums=(0,))
+    def distance(assembly: Assembly, poses: Any, points: Any) -> Any:
+        return evaluate(assembly, poses, points)[0]
+
+    def forward(assembly: Assembly, poses: Any, points: Any) -> Any:
+        distances, *rest = evaluate(assembly, poses, points)
+        return distances, (*rest, poses, points)
+
+    def backward(_: Assembly, kept: Any, change: Any) -> Any:
+        gradients, bodies, local, poses, points = kept
+        along = change[..., None] * gradients
+        lead = poses.shape[:-3]
+        of_rows = (-along[..., :, None] * local[..., None, :]).astype(poses.dtype).reshape(*lead, -1, 3, 4)
+        rows = bodies.reshape(*lead, -1)
+        of_poses = jax.numpy.zeros_like(poses)
+        if lead:
+            numbers = jax.numpy.arange(lead[0])[:, None]
+            of_poses = of_poses.at[numbers, rows, :3].add(of_rows)
+            along = along.sum(axis=0)
+        else:
+            of_poses = of_poses.at[rows, :3].add(of_rows)
+        return of_poses, along.reshape(points.shape).astype(points.dtype)
+
+    distance.defvjp(forward, backward)
+    return distance
 
 
 @cache

@@ -22,13 +22,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .assemblies.geometry import rigid
+from .assemblies.mjcf_files import mesh_of
 from .base import checks
 from .base.errors import ArgumentError, Error
 from .base.optional import optional_module
 from .base.progress import Progress, part, watched
 from .meshes.convert import as_mesh
 from .physics.closing import closed_mesh
-from .physics.models import MAX_DEPTH, frame_in_file, mesh_of
+from .physics.models import MAX_DEPTH, frame_in_file
 from .physics.octree import Octree
 from .queries.nearest import query
 from .shapes.shape import Shape
@@ -41,9 +43,6 @@ UNCERTAIN = 1e-6
 
 #: Voxels along the longest side of the closed mesh of a shape that is not exact.
 SHAPE_RESOLUTION = 128
-
-#: Largest deviation of the 3x3 part of a rigid transform from an orthonormal matrix.
-RIGID = 1e-6
 
 
 class MeshField(NamedTuple):
@@ -139,7 +138,7 @@ def add(
         raise ArgumentError(f"name: the specification has a mesh or geom {name!r} already; choose another name")
     depth = checks.integer("depth", depth, least=1, most=MAX_DEPTH)
     resolution = checks.integer("resolution", resolution, least=4, most=4096)
-    place = _rigid("transform", transform)
+    place = np.eye(4) if transform is None else rigid("transform", transform)
     fixed = {"name", "type", "meshname", "pos", "quat", "alt", "fromto"} & geom.keys()
     if fixed:
         raise ArgumentError(f"{min(fixed)}: is set by name=, geometry and transform=; leave it out")
@@ -262,15 +261,6 @@ def _body(package: Any, spec: Any, body: Any) -> Any:
         names = [other.name for other in spec.bodies]
         raise ArgumentError(f"body: the specification has no body {body!r}; it has {names}")
     return found
-
-
-def _rigid(name: str, transform: ArrayLike | None) -> NDArray[np.float64]:
-    """Check a rigid transform; None is the identity."""
-    place = np.eye(4) if transform is None else checks.affine(name, transform, ArgumentError)
-    turn = place[:3, :3]
-    if not (np.abs(turn.T @ turn - np.eye(3)).max() <= RIGID and np.linalg.det(turn) > 0):
-        raise ArgumentError(f"{name}: must be a rotation and a translation, got {place.tolist()}; scale the geometry")
-    return place
 
 
 def _package() -> Any:

@@ -13,11 +13,13 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+from .assemblies.assembly import Assembly
+from .assemblies.derivatives import linearize_assembly, pose_changes
 from .base.optional import optional_module
 from .meshes.mesh import Mesh
 from .queries.derivatives import interpolate, linearize, vertex_changes
 
-__all__ = ["sample", "signed_distance"]
+__all__ = ["assembly_distance", "assembly_poses", "sample", "signed_distance"]
 
 
 def signed_distance(vertices: Any, faces: Any, points: Any, mesh: Mesh | None = None) -> Any:
@@ -105,6 +107,106 @@ def sample(distances: Any, bounds: Any, points: Any) -> Any:
     low = torch.minimum(grid.detach().floor().long(), torch.clamp(shape.long() - 2, min=0))
     high = torch.minimum(low + 1, shape.long() - 1)
     return interpolate(distances, grid, low, high)
+
+
+def assembly_poses(assembly: Assembly, values: Any) -> Any:
+    """Compute the poses of all bodies of an assembly, differentiable in the joint values.
+
+    Parameters
+    ----------
+    assembly : Assembly
+        Bodies and joints.
+    values : (..., m) tensor of floats
+        Joint values in the order of `Assembly.joint_names`.
+
+    Returns
+    -------
+    (..., n, 4, 4) tensor
+        World-from-body poses in the dtype and on the device of `values`, as :meth:`fieldbake.Assembly.poses`.
+
+    Raises
+    ------
+    Error
+        If PyTorch is not installed.
+    ArgumentError
+        For a wrong number of values.
+
+    Examples
+    --------
+    >>> import torch  # doctest: +SKIP
+    >>> from fieldbake.torch import assembly_distance, assembly_poses
+    >>> values = torch.zeros(7, dtype=torch.float64, requires_grad=True)  # doctest: +SKIP
+    >>> assembly_distance(robot, assembly_poses(robot, values), points).sum().backward()  # doctest: +SKIP
+    """
+    torch = optional_module("torch", "fieldbake.torch", extra="torch")
+    return assembly._forward(torch.as_tensor(values), torch)
+
+
+def assembly_distance(assembly: Assembly, poses: Any, points: Any) -> Any:
+    """Evaluate the smallest signed distance over the bodies, differentiable in poses and points.
+
+    Parameters
+    ----------
+    assembly : Assembly
+        Bodies with their geometry.
+    poses : (n, 4, 4) or (b, n, 4, 4) tensor of floats
+        Rigid world-from-body poses, in float64 or orthonormal to 1e-6.
+    points : (..., 3) tensor of floats
+        World positions, the same for each configuration.
+
+    Returns
+    -------
+    (...) or (b, ...) tensor
+        Signed distances in the dtype and on the device of `points`, world units, negative inside.
+
+    Raises
+    ------
+    Error
+        If PyTorch is not installed.
+    ArgumentError
+        As for :meth:`fieldbake.Assembly.query`.
+
+    Notes
+    -----
+    With the unit gradient g at a point p, and the closest point y in the frame of its body with the pose T, the
+    derivatives are ``g`` with respect to p and ``-outer(g, (y, 1))`` with respect to the upper rows of T. On the medial
+    axis the derivative is that of one of its sides.
+
+    Examples
+    --------
+    >>> import torch  # doctest: +SKIP
+    >>> import fieldbake as fb
+    >>> from fieldbake.torch import assembly_distance
+    >>> ball = fb.Assembly({"ball": fb.sphere(1)})
+    >>> point = torch.tensor([[0.0, 0.0, 3.0]], requires_grad=True)  # doctest: +SKIP
+    >>> assembly_distance(ball, torch.eye(4)[None], point).sum().backward()  # doctest: +SKIP
+    """
+    return _assembly_function().apply(assembly, poses, points)
+
+
+@cache
+def _assembly_function() -> Any:
+    """The autograd function of :func:`assembly_distance`."""
+    torch = optional_module("torch", "fieldbake.torch", extra="torch")
+
+    class AssemblyDistance(torch.autograd.Function):  # type: ignore[misc, name-defined]
+        @staticmethod
+        def forward(context: Any, assembly: Assembly, poses: Any, points: Any) -> Any:
+            arrays = [torch.as_tensor(value).detach().cpu().numpy() for value in (poses, points)]
+            found = linearize_assembly(assembly, *arrays)
+            context.found = found
+            context.poses = (poses.dtype, poses.device)
+            context.points_shape = points.shape
+            return torch.from_numpy(found.distances).to(points.device)
+
+        @staticmethod
+        def backward(context: Any, change: Any) -> Any:
+            of_poses, of_points = pose_changes(context.found, change.detach().cpu().numpy())
+            dtype, device = context.poses
+            of_points = torch.from_numpy(of_points.reshape(context.points_shape)).to(change.device)
+            return None, torch.from_numpy(of_poses).to(dtype=dtype, device=device), of_points
+
+    return AssemblyDistance
 
 
 @cache

@@ -104,12 +104,7 @@ impl Bodies {
     }
 
     /// Number of geometries.
-    pub fn len(&self) -> usize {
+    pub fn element_count(&self) -> usize {
         self.elements.len()
-    }
-
-    /// The body of a geometry.
-    pub fn body_of(&self, element: usize) -> usize {
-        self.elements[element].body
     }
 }

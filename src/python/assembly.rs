@@ -19,15 +19,14 @@ pub struct Bodies(core::Bodies);
 /// World-from-body poses (k, 4, 4).
 type Poses<'py> = PyReadonlyArray3<'py, f64>;
 
+/// The body, the geometry, its transform (4, 4) to the body, and the scale of the transform.
+type Element<'py> = (usize, Bound<'py, PyAny>, [[f64; 4]; 4], f64);
+
 #[pymethods]
 impl Bodies {
     /// `elements`: the body, the geometry, its transform (4, 4) to the body, and the scale of the transform.
     #[new]
-    fn new(
-        py: Python<'_>,
-        count: usize,
-        elements: Vec<(usize, Bound<'_, PyAny>, [[f64; 4]; 4], f64)>,
-    ) -> PyResult<Self> {
+    fn new(py: Python<'_>, count: usize, elements: Vec<Element<'_>>) -> PyResult<Self> {
         let mut bodies = core::Bodies::new(count);
         for (body, geometry, rows, scale) in elements {
             let geometry = if let Ok(mesh) = geometry.cast::<Mesh>() {
@@ -118,7 +117,7 @@ impl Bodies {
         let configurations = matrices.len().checked_div(self.0.count()).unwrap_or(0);
         let points = rows(points, "points")?;
         if configurations * self.0.count() != matrices.len()
-            || searched.len() != self.0.len()
+            || searched.len() != self.0.element_count()
             || (is_paired && configurations > 0 && points.len() % configurations != 0)
         {
             return Err(wrong("poses, points, searched: have other lengths than the bodies"));

@@ -62,8 +62,9 @@ def rigid(name: str, value: Any, error: type[Error] = ArgumentError) -> NDArray[
 def check_rigid(name: str, transforms: NDArray[np.float64], error: type[Error] = ArgumentError) -> None:
     """Raise an error that names the first transform of (..., 4, 4) that is not rigid. NaN is not rigid."""
     turn = transforms[..., :3, :3]
-    deviation = np.abs(np.swapaxes(turn, -1, -2) @ turn - np.eye(3)).max(axis=(-1, -2), initial=0)
-    handed = np.abs(np.linalg.det(turn) - 1) <= RIGID
+    with np.errstate(invalid="ignore", over="ignore"):
+        deviation = np.abs(np.swapaxes(turn, -1, -2) @ turn - np.eye(3)).max(axis=(-1, -2), initial=0)
+        handed = np.abs(np.linalg.det(turn) - 1) <= RIGID
     last = np.abs(transforms[..., 3, :] - (0, 0, 0, 1)).max(axis=-1, initial=0)
     finite = np.isfinite(transforms).all(axis=(-1, -2))
     good = (deviation <= RIGID) & handed & (last <= RIGID) & finite

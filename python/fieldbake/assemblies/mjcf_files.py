@@ -7,8 +7,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..base.errors import FormatError
 from ..base.optional import optional_module
+from ..meshes.mesh import Mesh
 from .geometry_files import GeometryFiles
 from .xml_files import read_xml
 
@@ -51,6 +55,26 @@ def compiled(spec: Any, source: object) -> Any:
 def one_line(error: Exception) -> str:
     """The message of MuJoCo as one line."""
     return "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
+
+
+def rotation(quaternion: Any) -> NDArray[np.float64]:
+    """The rotation (3, 3) of a quaternion (w, x, y, z), which is normalised."""
+    array = np.asarray(quaternion, dtype=np.float64)
+    w, x, y, z = (array / np.linalg.norm(array)).tolist()
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def mesh_of(model: Any, i: int) -> Mesh:
+    """The triangles of mesh `i` in the frame of its octree, which is that of its inertia and of its geoms."""
+    vertex, face = model.mesh_vertadr[i], model.mesh_faceadr[i]
+    vertices = model.mesh_vert[vertex : vertex + model.mesh_vertnum[i]]
+    return Mesh(vertices, model.mesh_face[face : face + model.mesh_facenum[i]])
 
 
 def _check_files(path: Path) -> None:

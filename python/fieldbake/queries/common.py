@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,26 +10,13 @@ from numpy.typing import NDArray
 from ..base import checks
 from ..base.errors import ArgumentError
 from ..base.notices import warn_surface
-from ..base.progress import Progress
 from ..meshes.convert import MeshLike, as_mesh
 from ..meshes.mesh import Mesh
-
-if TYPE_CHECKING:
-    from .nearest import Query
 
 Sign = Literal["auto", "winding", "parity", "pseudonormal", "normal", "unsigned"]
 
 #: Largest distance of a point from the centre of the mesh, in mesh sizes. The core squares it in float64.
 MAX_POINT_REACH = 1e36
-
-
-@runtime_checkable
-class Queryable(Protocol):
-    """An object that evaluates its own distances: a scene of placed meshes and shapes."""
-
-    def _query(self, points: Any, *, sign: str, device: str, progress: Progress) -> Query:
-        """Evaluate distances, gradients and nearest points."""
-        ...
 
 
 def choices(sign: Sign, device: str) -> tuple[str, str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, get_args, overload
+from typing import Any, Literal, NamedTuple, Protocol, get_args, overload, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +16,7 @@ from ..base.notices import warn_surface
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
 from ..meshes.convert import MeshLike
-from .common import Queryable, Sign, checked_points, choices, shaped, source_faces, warn_of_signs
+from .common import Sign, checked_points, choices, shaped, source_faces, warn_of_signs
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +82,14 @@ class Query(NamedTuple):
     report: Report
     #: Index in `Scene.instances` of the instance that contains the closest point, (...) int64; None for a mesh.
     instances: NDArray[np.int64] | None = None
+
+
+@runtime_checkable
+class Queryable(Protocol):
+    """An object that evaluates its own distances: a scene of placed meshes and shapes."""
+
+    def _query(self, points: Any, *, sign: str, device: str, progress: Progress) -> Query:
+        """Evaluate distances, gradients and nearest points."""
 
 
 def closest_point(

@@ -1,0 +1,69 @@
+"""Results of queries of assemblies, and the report of an assembly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.report import Report, Rows
+
+
+class AssemblyQuery(NamedTuple):
+    """Signed distances to the bodies of an assembly, with gradients, nearest points and bodies.
+
+    Arrays have the shape (b, ...) for b configurations, and (...) for one configuration without an axis of its own.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> balls = fb.Assembly({"left": fb.sphere(1).translate((-2, 0, 0)), "right": fb.sphere(1).translate((2, 0, 0))})
+    >>> found = balls.query([(3.5, 0, 0)])
+    >>> found.distances.tolist(), found.bodies.tolist()
+    ([0.5], [1])
+    """
+
+    #: Signed distances, float64, world units, negative inside; infinite if no body has geometry.
+    distances: NDArray[np.float64]
+    #: Unit gradients of the signed distance, (..., 3) float64: they point away from the inside.
+    gradients: NDArray[np.float64]
+    #: Nearest points of the surfaces, (..., 3) float64, world positions.
+    points: NDArray[np.float64]
+    #: Rows in `Assembly.body_names` of the nearest bodies, int64; -1 if no body has geometry.
+    bodies: NDArray[np.int64]
+    #: Number of points and cost of the query.
+    report: Report
+
+
+@dataclass(frozen=True)
+class AssemblyReport(Rows):
+    """The geometry of an assembly.
+
+    Attributes
+    ----------
+    bodies, geometries, closed_forms, faces : int
+        Numbers of bodies, of their geometries, of those that are exact shapes, and of faces of all others.
+    largest_deviation : float
+        Largest distance of the closed mesh of a shape or a volume from its source, world units: the field of the source
+        at vertices and centres of faces.
+    warnings : tuple of str
+        Surfaces that are open, and units that look wrong.
+    """
+
+    bodies: int = 0
+    geometries: int = 0
+    closed_forms: int = 0
+    faces: int = 0
+    largest_deviation: float = 0.0
+    warnings: tuple[str, ...] = ()
+
+    def rows(self) -> list[tuple[str, str]]:
+        """List the label and the text of each line of the report."""
+        return [
+            ("bodies", f"{self.bodies:,}"),
+            ("geometry", f"{self.closed_forms:,} closed forms, {self.faces:,} faces"),
+            ("deviation", f"{self.largest_deviation:.3g}"),
+            *(("warning", warning) for warning in self.warnings),
+        ]
