@@ -15,6 +15,7 @@ LAYERS = [
     "gpu",
     "mesh",
     "bvh",
+    "cloud",
     "sign",
     "volume",
     "surface",
