@@ -7,7 +7,6 @@
 mod band;
 mod blocks;
 mod brute;
-mod cloud;
 mod cpu;
 mod dense;
 mod gpu;
@@ -21,7 +20,6 @@ mod window;
 
 pub use blocks::bake_blocks;
 pub use brute::bake_brute;
-pub use cloud::{CloudCounts, bake_cloud, bake_cloud_sparse};
 pub use report::{Report, sign_warnings};
 pub use sparse::bake_sparse;
 pub use update::{Before, update};

@@ -15,7 +15,6 @@ LAYERS = [
     "gpu",
     "mesh",
     "bvh",
-    "cloud",
     "sign",
     "volume",
     "surface",

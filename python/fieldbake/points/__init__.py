@@ -1,1 +1,0 @@
-"""Clouds of points: their areas, normals and files."""
