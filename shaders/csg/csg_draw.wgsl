@@ -2,7 +2,10 @@
 // visits the boxes of the parts front to back. Twin of src/csg/parts/trace.rs. The CPU computes the colours from the
 // result (src/csg/device/gpu.rs).
 
-#import csg_walk
+#import csg_chord
+#import csg_needs
+#import csg_part
+#import csg_root
 #import picture_rays
 
 struct CsgDrawParams {
@@ -12,6 +15,25 @@ struct CsgDrawParams {
     inverse_lipschitz: f32,
     // Number of nodes. They precede the boxes of the parts in `boxes`.
     node_count: u32,
+    pad_0: u32,
+    pad_1: u32,
+}
+
+// A node of the tree over boxes, or the box of a part.
+//             | inner node         | leaf                     | box of a part
+//   `first`   | left child         | first box                | first token of the part
+//   `count`   | 0                  | number of boxes          | number of tokens
+// The right child of an inner node is `first + 1`.
+struct CsgBox {
+    lower: vec3f,
+    first: u32,
+    upper: vec3f,
+    count: u32,
+    // 0: sphere traced by the interpreter. FORM_UNION or FORM_CHORDS: closed form. From 3: function `form - 3` of a
+    // specialised kernel.
+    form: u32,
+    // Index of the part's first parameter in `numbers`, for a compiled field.
+    parameters: u32,
     pad_0: u32,
     pad_1: u32,
 }
@@ -39,21 +61,127 @@ struct CsgPixel {
 
 // Step of the tetrahedral differences of a part's field along each axis, local units.
 const NORMAL_STEP: f32 = 1e-4;
+const MAX_WAITING: u32 = 64u;
+const NO_BOX: u32 = 0xffffffffu;
+
+struct Ray {
+    origin: vec3f,
+    direction: vec3f,
+    inverse: vec3f,
+}
+
+struct Hit {
+    t: f32,
+    cell: u32,
+    is_hit: bool,
+}
 
 var<private> steps: u32 = 0u;
 var<private> evaluated: u32 = 0u;
 
-fn node_count() -> u32 {
-    return params.node_count;
-}
-
-fn longest_step() -> f32 {
-    return params.inverse_lipschitz;
-}
-
-fn count_evaluation(cell: u32) {
+fn field(ray: Ray, t: f32, cell: u32) -> f32 {
     steps++;
     evaluated += boxes[cell].count;
+    return field_at(ray.origin + t * ray.direction, cell);
+}
+
+fn field_at(p: vec3f, cell: u32) -> f32 {
+    return part_distance(p, boxes[cell].form, boxes[cell].first, boxes[cell].count, boxes[cell].parameters);
+}
+
+fn is_closed(form: u32) -> bool {
+    return HAS_CHORDS && (!MARCHES || form == FORM_UNION || form == FORM_CHORDS);
+}
+
+fn ray_along(origin: vec3f, direction: vec3f) -> Ray {
+    return Ray(origin, direction, 1.0 / select(direction, vec3f(STILL), abs(direction) < vec3f(STILL)));
+}
+
+// The interval (t_in, t_out) of a ray inside a box; a miss returns t_in >= t_out. A ray within a face belongs to the
+// box above the face.
+fn span(ray: Ray, cell: u32, t_max: f32) -> vec2f {
+    let a = (boxes[cell].lower - ray.origin) * ray.inverse;
+    let b = (boxes[cell].upper - ray.origin) * ray.inverse;
+    let low = min(a, b);
+    let high = max(a, b);
+    return vec2f(max(max(low.x, low.y), max(low.z, 0.0)), min(min(high.x, high.y), min(high.z, t_max)));
+}
+
+// The first t on [t_in, t_out) at which the ray is inside the part of a box, or -1.
+fn first_root(ray: Ray, cell: u32, t_in: f32, t_out: f32) -> f32 {
+    let form = boxes[cell].form;
+    if !is_closed(form) { return march(ray, cell, t_in, t_out); }
+    steps++;
+    evaluated += boxes[cell].count;
+    let is_union = form == FORM_UNION;
+    return first_inside(ray.origin, ray.direction, boxes[cell].first, boxes[cell].count, is_union, t_in, t_out);
+}
+
+// The first root of a sphere-traced part on [t_in, t_out), or -1.
+fn march(ray: Ray, cell: u32, t_in: f32, t_out: f32) -> f32 {
+    var search = search_from(t_in);
+    var state = SEARCHING;
+    for (var i = 0u; i < MAX_MARCH_STEPS && state == SEARCHING && has_rounds(); i++) {
+        rounds++;
+        state = search_on(&search, field(ray, search.t, cell), params.inverse_lipschitz, t_out);
+    }
+    return select(-1.0, search.t, state == FOUND && (search.t < t_out || search.t == t_in));
+}
+
+fn trace(ray: Ray, any: bool) -> Hit {
+    var best = Hit(FAR_T, 0u, false);
+    // Nodes and boxes still to visit. The nearest of the latest children lies on top.
+    var waiting: array<u32, MAX_WAITING>;
+    var waiting_t: array<f32, MAX_WAITING>;
+    var count = 0u;
+    let root_span = span(ray, 0u, FAR_T);
+    if params.node_count > 0u && root_span.x < root_span.y {
+        waiting[0] = 0u;
+        waiting_t[0] = root_span.x;
+        count = 1u;
+    }
+    while count > 0u && has_rounds() {
+        // Descends to a box. The expensive intersection follows this loop, so that it is not evaluated per node.
+        var cell = NO_BOX;
+        while count > 0u && cell == NO_BOX && has_rounds() {
+            rounds++;
+            count--;
+            let node = waiting[count];
+            if waiting_t[count] >= best.t { continue; }
+            if node >= params.node_count {
+                cell = node;
+                continue;
+            }
+            // The two children of an inner node, or the few boxes of a leaf.
+            let few = boxes[node].count;
+            let first = boxes[node].first + select(params.node_count, 0u, few == 0u);
+            let bottom = count;
+            for (var i = 0u; i < select(few, 2u, few == 0u) && count < MAX_WAITING; i++) {
+                rounds++;
+                let t = span(ray, first + i, best.t);
+                if t.x >= t.y { continue; }
+                // Inserts the entry in order of distance.
+                var place = count;
+                while place > bottom && waiting_t[place - 1u] < t.x {
+                    rounds++;
+                    waiting[place] = waiting[place - 1u];
+                    waiting_t[place] = waiting_t[place - 1u];
+                    place--;
+                }
+                waiting[place] = first + i;
+                waiting_t[place] = t.x;
+                count++;
+            }
+        }
+        if cell == NO_BOX { break; }
+        let t = span(ray, cell, best.t);
+        let found = first_root(ray, cell, t.x, t.y);
+        if found >= 0.0 && found < best.t {
+            best = Hit(found, cell - params.node_count, true);
+            if any { return best; }
+        }
+    }
+    return best;
 }
 
 // Unit normal where a ray enters the part of a box. The reversed ray direction is returned where the gradient is zero.
@@ -64,7 +192,7 @@ fn surface_normal(p: vec3f, direction: vec3f, cell: u32) -> vec3f {
         slope = chord_slope(p, direction, boxes[box].first, boxes[box].count);
     } else if MARCHES {
         for (var i = 0u; i < 4u; i++) {
-            slope += tetrahedron(i) * part_at(p + NORMAL_STEP * tetrahedron(i), box);
+            slope += tetrahedron(i) * field_at(p + NORMAL_STEP * tetrahedron(i), box);
         }
     }
     let size = length(slope);
@@ -84,7 +212,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
 
     let from_eye = picture_ray(params.rays, x, y);
     let direction = normalize(from_eye.along);
-    var ray = part_ray(from_eye.start, direction);
+    var ray = ray_along(from_eye.start, direction);
     var pixel: CsgPixel;
     var p = from_eye.start;
     // Traces the ray from the eye, then one ray to each light. There is one call, because drivers inline functions.
@@ -94,9 +222,9 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
             let to_light = -lights[i - 1u].xyz;
             shares[index * params.rays.light_count + i - 1u] = 0.0;
             if dot(pixel.normal, to_light) <= 0.0 { continue; }
-            ray = part_ray(p + SHADOW_BIAS * pixel.normal, to_light);
+            ray = ray_along(p + SHADOW_BIAS * pixel.normal, to_light);
         }
-        let hit = trace_parts(ray, WALK_FAR, i > 0u);
+        let hit = trace(ray, i > 0u);
         if i > 0u {
             if !hit.is_hit { shares[index * params.rays.light_count + i - 1u] = 1.0; }
             continue;

@@ -483,5 +483,5 @@ fn thicknesses(@builtin(global_invocation_id) id: vec3u) {
             t = min(t + max(abs(here.y) * pace, least_step), span.y);
         }
     }
-    answers[beam.owner] = Answer(inside, 1u, steps, u32(steps < MAX_STEPS), 0u);
+    answers[beam.owner] = Answer(inside, 1u, steps, 1u, 0u);
 }

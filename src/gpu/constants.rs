@@ -324,21 +324,19 @@ wgsl_constants! {
         /// A bracket of this width is a root: one ulp of a position near 1.
         ROOT_WIDTH: f32 as f32 = 1.2e-7;
     }
-    csg_walk {
+    csg_draw {
+        /// Distance of the start of a shadow ray from the surface, local units: about thirty of the shortest steps.
+        SHADOW_BIAS: f32 as f32 = 1e-3;
         /// Larger than the `t` at which a ray of a picture leaves the model. A ray at a grazing angle to the image
         /// plane has a long way between the plane where it starts and the model.
-        WALK_FAR: f32 as f32 = 1e6;
+        FAR_T: f32 as f32 = 1e6;
         /// Replaces a smaller component of a direction, so that its inverse is finite.
         STILL: f32 as f32 = 1e-30;
+        MAX_LIGHTS: usize as u32 = 64;
         /// Kinds of parts. A part with a larger number has a function of its own.
         FORM_FIELD: u32 as u32 = 0;
         FORM_UNION: u32 as u32 = 1;
         FORM_CHORDS: u32 as u32 = 2;
-    }
-    csg_draw {
-        /// Distance of the start of a shadow ray from the surface, local units: about thirty of the shortest steps.
-        SHADOW_BIAS: f32 as f32 = 1e-3;
-        MAX_LIGHTS: usize as u32 = 64;
         /// Results of a pixel.
         PIXEL_HIT: u32 as u32 = 1;
         PIXEL_RAN_OUT: u32 as u32 = 2;

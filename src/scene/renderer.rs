@@ -206,8 +206,7 @@ fn draw(
     progress.set_total((draws + finds * evaluation::FIND_WORTH + shades) * u64::from(options.size[1]));
 
     let casters = Casters { scene, far, near: None };
-    let has_cones = options.shadows == SceneShadows::Soft || options.occlusion.is_some();
-    let light_device = device.filter(|device| device.knows_all(has_cones));
+    let light_device = device.filter(|device| device.knows_all());
     let lights = Lights::new(scene, options);
     let mut seconds = vec![("primary", 0.0), ("light", 0.0)];
     let bounces = Bounces::new(&casters, &lights, options, progress)?;

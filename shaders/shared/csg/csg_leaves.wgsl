@@ -29,7 +29,7 @@ fn volume(at: vec3f, first: u32) -> f32 {
     let inverse_spacing = vec3f(numbers[first + 6u], numbers[first + 7u], numbers[first + 8u]);
     let shape = vec3f(numbers[first + 9u], numbers[first + 10u], numbers[first + 11u]);
     let scale = numbers[first + 12u];
-    let stored_first = first + 13u;
+    let samples = first + 13u;
 
     let inside = clamp(at, lower, upper);
     let away = at - inside;
@@ -46,8 +46,8 @@ fn volume(at: vec3f, first: u32) -> f32 {
     let nxy = nx * u32(shape.y);
     let y0 = low.y * nx;
     let y1 = high.y * nx;
-    let z0 = stored_first + low.z * nxy;
-    let z1 = stored_first + high.z * nxy;
+    let z0 = samples + low.z * nxy;
+    let z1 = samples + high.z * nxy;
     let x00 = mix_exact(numbers[low.x + y0 + z0], numbers[high.x + y0 + z0], f.x);
     let x10 = mix_exact(numbers[low.x + y1 + z0], numbers[high.x + y1 + z0], f.x);
     let x01 = mix_exact(numbers[low.x + y0 + z1], numbers[high.x + y0 + z1], f.x);

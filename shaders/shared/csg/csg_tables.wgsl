@@ -1,6 +1,8 @@
 // The tables of a shape: tokens, placed leaves, and numbers (parameters and samples).
-
-#import csg_buffers
+//
+// `rounds` counts the iterations of all loops of an invocation, because software adapters stop an invocation after
+// 65,535 iterations without an error. An invocation that reaches MAX_ROUNDS reports it, and the CPU computes its
+// result.
 
 // A leaf or a warp. Lengths are in local units.
 struct CsgLeaf {
@@ -18,12 +20,24 @@ struct CsgLeaf {
     first: u32,
 }
 
+@group(0) @binding(1) var<storage, read> tokens: array<u32>;
+@group(0) @binding(2) var<storage, read> leaves: array<CsgLeaf>;
+// Parameters of joints, levels of offsets and shells, corners of polygons, samples of volumes.
+@group(0) @binding(3) var<storage, read> numbers: array<f32>;
+
+const MAX_ROUNDS: u32 = 64000u;
 // A token is one u32:
 //   31    28 27 26 25                    0
 //   +-------+--+--+----------------------+
 //   | opcode| -|C | index into the table |   C: TOKEN_COMPLEMENTED, for leaves
 //   +-------+--+--+----------------------+
 // Set for a leaf of a part in closed form whose literal is the complement of the leaf.
+
+var<private> rounds: u32 = 0u;
+
+fn has_rounds() -> bool {
+    return rounds < MAX_ROUNDS;
+}
 
 fn placed(leaf: u32, p: vec3f) -> vec3f {
     return vec3f(

@@ -51,7 +51,6 @@ const KIND_DENSE: u32 = 0u;
 const KIND_SPARSE: u32 = 1u;
 const KIND_QUADRIC: u32 = 2u;
 const KIND_SHAPE: u32 = 3u;
-const KIND_NESTED: u32 = 4u;
 
 @group(0) @binding(3) var<storage, read> instances: array<SceneInstance>;
 @group(0) @binding(4) var<storage, read> fields: array<SceneField>;
@@ -67,11 +66,6 @@ const TINY: f32 = 1.2e-38;
 const MAX_STEPS: u32 = 50000u;
 
 var<private> steps: u32;
-
-// Number of nodes that the invocation visited, of edges that it evaluated, and of tokens of shapes: together with
-// `steps`, at most MAX_STEPS. `steps` does not include them: the number of nodes depends on the cut, and the order of
-// the cones in memory, from which cuts are made, differs between runs.
-var<private> visits: u32;
 
 // Clips the ray interval `part` to a box. Returns (t_enter, t_exit); a miss returns t_enter > t_exit.
 fn clip(origin: vec3f, direction: vec3f, lower: vec3f, upper: vec3f, part: vec2f) -> vec2f {

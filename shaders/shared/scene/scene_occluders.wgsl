@@ -33,6 +33,11 @@ const NOWHERE: vec2f = vec2f(1.0, 0.0);
 
 var<private> is_far: u32;
 
+// Number of nodes that the invocation visited, and of edges that it evaluated: together with `steps`, at most
+// MAX_STEPS. `steps` does not include them: the number of nodes depends on the cut, and the order of the cones in
+// memory, from which cuts are made, differs between runs.
+var<private> visits: u32;
+
 // ---- boxes
 
 fn meets(beam: Beam, low: vec3f, high: vec3f, t_max: f32) -> bool {

@@ -15,7 +15,7 @@
 //! behind the first hit, and shadow rays need it anyway.
 
 use super::picture::{Drawing, PixelScratch, ShapeView, VisiblePoint};
-use crate::csg::evaluation::leaf::{Flat, KindSet, LeafField, PlacedLeaf, kernel_texts};
+use crate::csg::evaluation::leaf::{Flat, LeafField, PlacedLeaf, kernel_texts};
 use crate::csg::evaluation::program::{Joint, PlacedDistanceOp, PlacedWarpKind, Program};
 use crate::csg::model::token::Token;
 use crate::csg::parts::cells::PartProgram;
@@ -149,43 +149,6 @@ impl<'a> Encoder<'a> {
             numbers: context.upload("numbers of a shape", &self.numbers)?,
         })
     }
-}
-
-/// The tables of a shape for rays through its parts and for its whole field, without functions for its structures.
-pub(crate) struct EncodedShape {
-    /// The nodes of the tree, then the boxes of the parts.
-    pub boxes: Vec<CsgBox>,
-    pub node_count: usize,
-    pub leaves: Vec<CsgLeaf>,
-    /// The tokens of the whole shape, then those of all parts.
-    pub tokens: Vec<u32>,
-    /// Number of tokens of the whole shape.
-    pub whole: usize,
-    pub numbers: Vec<f32>,
-    /// 1 / largest Lipschitz constant of a part.
-    pub longest_step: f32,
-    /// Kinds of the leaves.
-    pub kinds: KindSet,
-}
-
-impl EncodedShape {
-    pub(crate) fn of(tracer: &Tracer<'_>) -> Self {
-        let program = &tracer.solid.program;
-        let encoder = Encoder::new(program);
-        let entries: Vec<Entry> = tracer.programs.iter().map(|part| Entry::without_function(part.form)).collect();
-        let (mut boxes, parts) = encoded_boxes(tracer, &encoder, &entries);
-        let mut tokens: Vec<u32> = tracer.solid.model.tokens.iter().map(|&token| encoder.token(token)).collect();
-        let (node_count, whole) = (tracer.nodes.len(), tokens.len());
-        boxes[node_count..].iter_mut().for_each(|cell| cell.first += whole as u32);
-        tokens.extend(parts);
-        let kinds = program.leaves.iter().fold(KindSet::default(), |kinds, leaf| kinds.with(&leaf.field));
-        let Encoder { leaves, numbers, .. } = encoder;
-        Self { boxes, node_count, leaves, tokens, whole, numbers, longest_step: longest_step(tracer), kinds }
-    }
-}
-
-fn longest_step(tracer: &Tracer<'_>) -> f32 {
-    tracer.programs.iter().map(|part| part.inverse_lipschitz).fold(1.0, f32::min)
 }
 
 fn placed(rows: &[[f32; 3]; 3], [shift_x, shift_y, shift_z]: [f32; 3]) -> CsgLeaf {
@@ -431,7 +394,7 @@ fn params(view: &ShapeView<'_>) -> CsgDrawParams {
     let tracer = view.tracer;
     CsgDrawParams {
         rays: view.rays.rays,
-        inverse_lipschitz: longest_step(tracer),
+        inverse_lipschitz: tracer.programs.iter().map(|part| part.inverse_lipschitz).fold(1.0, f32::min),
         node_count: tracer.nodes.len() as u32,
         ..CsgDrawParams::default()
     }

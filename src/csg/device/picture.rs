@@ -4,8 +4,7 @@
 use crate::csg::evaluation::program::Stack;
 use crate::csg::parts::trace::{ShapeRay, TraceWork, Tracer};
 use crate::error::Error;
-use crate::gpu::constants::csg_draw::SHADOW_BIAS;
-use crate::gpu::constants::csg_walk::WALK_FAR;
+use crate::gpu::constants::csg_draw::{FAR_T, SHADOW_BIAS};
 use crate::gpu::layout::PictureRays;
 use crate::picture::{Camera, DirectionalLight, Frame, RaymarchOptions, Row};
 use crate::progress::Progress;
@@ -122,7 +121,7 @@ impl PixelRays {
         ShapeRay {
             origin: start + along_right * start_right + along_up * start_up,
             direction: (self.forward + along_right * right + along_up * up).normalize(),
-            t_max: WALK_FAR,
+            t_max: FAR_T,
         }
     }
 
@@ -196,7 +195,7 @@ impl ShapeView<'_> {
         if normal.dot(to_light) <= 0.0 {
             return 0.0;
         }
-        let ray = ShapeRay { origin: p + SHADOW_BIAS * normal, direction: to_light, t_max: WALK_FAR };
+        let ray = ShapeRay { origin: p + SHADOW_BIAS * normal, direction: to_light, t_max: FAR_T };
         if self.tracer.is_hit(&ray, stack, &mut TraceWork::default()) { 0.0 } else { 1.0 }
     }
 }

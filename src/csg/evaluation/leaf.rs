@@ -164,11 +164,6 @@ impl KindSet {
         Self(self.0 | 1 << field.kind())
     }
 
-    /// The kinds of both sets.
-    pub(crate) fn union(self, other: Self) -> Self {
-        Self(self.0 | other.0)
-    }
-
     fn has(self, constant: &str) -> bool {
         KINDS
             .iter()

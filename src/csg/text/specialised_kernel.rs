@@ -18,7 +18,7 @@ use crate::csg::parts::part::{StructureToken, structure};
 use crate::csg::parts::solid::Solid;
 use crate::csg::parts::trace::Tracer;
 use crate::csg::tree::shape::Op;
-use crate::gpu::constants::csg_walk::{FORM_CHORDS, FORM_FIELD, FORM_UNION};
+use crate::gpu::constants::csg_draw::{FORM_CHORDS, FORM_FIELD, FORM_UNION};
 use crate::gpu::shader::shared;
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -40,18 +40,6 @@ pub(crate) struct Entry {
     pub form: u32,
     /// Index of the first parameter of its function.
     pub parameters: u32,
-}
-
-impl Entry {
-    /// A part in closed form, or one that the interpreter evaluates.
-    pub(crate) fn without_function(kind: PartKind) -> Self {
-        let form = match kind {
-            PartKind::Field => FORM_FIELD,
-            PartKind::Union => FORM_UNION,
-            PartKind::Chords => FORM_CHORDS,
-        };
-        Self { form, parameters: 0 }
-    }
 }
 
 /// A kernel specialised for one shape.
@@ -82,7 +70,12 @@ impl SpecialisedKernel {
             };
             needs.add(part, place.is_some());
             let Some(place) = place else {
-                entries.push(Entry::without_function(part.form));
+                let form = match part.form {
+                    PartKind::Field => FORM_FIELD,
+                    PartKind::Union => FORM_UNION,
+                    PartKind::Chords => FORM_CHORDS,
+                };
+                entries.push(Entry { form, parameters: 0 });
                 continue;
             };
             let mut writer = Writer::new(&tracer.solid.model, program, "n + ");

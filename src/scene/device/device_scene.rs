@@ -192,11 +192,9 @@ impl DeviceScene {
         &self.context
     }
 
-    /// Whether the device has the fields of all instances, so that it can light them. The CPU evaluates cones past the
-    /// distances of shapes without a function: on a device they take many times as long, and estimates in float32 near
-    /// creases change up to 1 % of the pixels.
-    pub(crate) fn knows_all(&self, has_cones: bool) -> bool {
-        !(self.knows.contains(&false) || has_cones && self.fields.kinds.measured_parts)
+    /// Whether the device has the fields of all instances, so that it can light them.
+    pub(crate) fn knows_all(&self) -> bool {
+        !self.knows.contains(&false)
     }
 
     /// Whether the device has the field of an instance, if the instance has one.
@@ -294,20 +292,9 @@ impl DeviceScene {
     }
 
     /// The length of each beam inside its own instance.
-    pub(crate) fn thicknesses(
-        &self,
-        casters: &Casters<'_>,
-        beams: &[Beam],
-        progress: &Progress,
-    ) -> Result<Vec<Answer>, Error> {
+    pub(crate) fn thicknesses(&self, beams: &[Beam], progress: &Progress) -> Result<Vec<Answer>, Error> {
         let cases = BeamCases { has_far: false, has_wide: false };
-        let params = BeamParams { far: NO_FAR, ..BeamParams::default() };
-        let mut answers = self.evaluate("thicknesses", cases, params, beams, progress)?;
-        for (answer, beam) in answers.iter_mut().zip(beams).filter(|(answer, _)| answer.is_complete == 0) {
-            let (place, ray) = from_beam(beam);
-            answer.value = casters.length_inside(&place, &ray, &mut LightWork::default());
-        }
-        Ok(answers)
+        self.evaluate("thicknesses", cases, BeamParams { far: NO_FAR, ..BeamParams::default() }, beams, progress)
     }
 
     pub(crate) fn nodes(&self) -> &wgpu::Buffer {
@@ -335,8 +322,7 @@ impl DeviceScene {
         ];
         // The layout contains only the buffers that the entry point reads: a thickness needs no tree, and the distance
         // of a dense grid no blocks.
-        let kinds = &self.fields.kinds;
-        let unused: &[u32] = match (entry, kinds.sparse || kinds.parts) {
+        let unused: &[u32] = match (entry, self.fields.kinds.sparse) {
             ("rays" | "cones" | "edge_cones", _) => &[],
             (_, true) => &[1, 2],
             (_, false) => &[1, 2, 6],

@@ -1,11 +1,9 @@
 //! The fields of a scene in the layout of devices (`shaders/shared/scene/scene_field.wgsl`): one record per field, and
 //! the tables of floats and bytes that records refer to. The shader of each kind documents its layout.
 
-use super::shader_variants::{ARRAY, FieldKind, GeometryKinds, MAX_STRUCTURES, NO_STRUCTURE, TURNS};
-use crate::csg::device::gpu::EncodedShape;
+use super::shader_variants::{ARRAY, FieldKind, GeometryKinds, MAX_STRUCTURES, TURNS};
 use crate::csg::model::lowered::Model;
 use crate::csg::parts::solid::Solid;
-use crate::csg::parts::trace::Tracer;
 use crate::csg::text::structure_text::StructureText;
 use crate::error::DeviceError;
 use crate::gpu::Context;
@@ -15,7 +13,6 @@ use crate::march::empty::EmptySpace;
 use crate::quadric::local::Local;
 use crate::volume::Trilinear;
 use crate::volume::sparse::SparseView;
-use glam::Vec3;
 
 /// Tables that grow by one field at a time.
 pub struct DeviceFields<'a> {
@@ -45,20 +42,6 @@ impl<'a> DeviceFields<'a> {
         self.add(record, &[&[params.floor, params.longest_step, x, y, z], &nodes, view.texels()])
     }
 
-    /// Appends the record of a nested field, whose levels are added next, finest first and one record each. `maps` has
-    /// scale and offset of the map from field space to the grid of each level.
-    pub fn add_nested(&mut self, maps: &[[Vec3; 2]]) -> Result<(), DeviceError> {
-        let numbers: Vec<f32> = maps.iter().flatten().flat_map(|v| v.to_array()).collect();
-        self.kinds.nested = true;
-        let record = SceneField {
-            kind: FieldKind::Nested as u32,
-            shape: [maps.len() as u32, 0, 0],
-            first_block: self.records.len() as u32 + 1,
-            ..SceneField::default()
-        };
-        self.add(record, &[&numbers])
-    }
-
     pub fn add_quadric(&mut self, local: &Local) -> Result<(), DeviceError> {
         let numbers = local.matrix().to_cols_array().map(|entry| entry as f32);
         self.add(SceneField { kind: FieldKind::Quadric as u32, ..SceneField::default() }, &[&numbers])?;
@@ -66,50 +49,26 @@ impl<'a> DeviceFields<'a> {
         Ok(())
     }
 
-    /// Appends the record of a shape: a function for its structure with its parameters, or the tables of its parts.
-    /// `is_large`: its distances cost more than rays through its parts.
-    pub(crate) fn add_shape(&mut self, tracer: &Tracer<'_>, is_large: bool) -> Result<(), DeviceError> {
-        let solid = tracer.solid;
-        let Model { lipschitz, is_exact, .. } = solid.model;
-        let header = |structure: u32| {
-            [structure as f32, (1.0 / lipschitz) as f32, solid.frame.scale as f32, f32::from(u8::from(is_exact))]
+    /// Appends the record and the parameters of a shape. Returns false for a shape that has no function, or beyond the
+    /// largest number of functions.
+    pub fn add_shape(&mut self, solid: &Solid) -> Result<bool, DeviceError> {
+        let Some(StructureText { body, numbers, .. }) = StructureText::of(solid, ARRAY, TURNS) else {
+            return Ok(false);
         };
-        if let Some((structure, numbers)) = (!is_large).then(|| self.structure_of(solid)).flatten() {
-            let record = SceneField { kind: FieldKind::Shape as u32, ..SceneField::default() };
-            return self.add(record, &[&header(structure), &numbers]);
-        }
-        let shape = EncodedShape::of(tracer);
-        self.kinds.parts = true;
-        self.kinds.measured_parts |= !is_large;
-        self.kinds.leaves = self.kinds.leaves.union(shape.kinds);
-        self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
-        let first_block = self.bytes.len() as u32;
-        self.bytes.extend_from_slice(bytemuck::cast_slice(&shape.boxes));
-        self.bytes.extend_from_slice(bytemuck::cast_slice(&shape.leaves));
-        self.bytes.extend_from_slice(bytemuck::cast_slice(&shape.tokens));
-        let counts = [shape.node_count, shape.boxes.len() - shape.node_count, shape.leaves.len()];
-        let record = SceneField {
-            kind: FieldKind::Shape as u32,
-            first_block,
-            shape: counts.map(|count| count as u32),
-            blocks: [shape.whole as u32, 0, 0],
-            ..SceneField::default()
-        };
-        self.add(record, &[&header(NO_STRUCTURE), &[shape.longest_step], &shape.numbers])
-    }
-
-    /// The function of a shape's structure and its parameters; None for a shape that is too large for a function, and
-    /// beyond the largest number of functions.
-    fn structure_of(&mut self, solid: &Solid) -> Option<(u32, Vec<f32>)> {
-        let StructureText { body, numbers, .. } = StructureText::of(solid, ARRAY, TURNS)?;
         let structures = &mut self.kinds.structures;
-        let structure = structures.iter().position(|other| *other == body).or_else(|| {
-            (structures.len() < MAX_STRUCTURES).then(|| {
-                structures.push(body);
-                structures.len() - 1
-            })
-        })?;
-        Some((structure as u32, numbers))
+        let known = structures.iter().position(|known| *known == body);
+        if known.is_none() && structures.len() == MAX_STRUCTURES {
+            return Ok(false);
+        }
+        let structure = known.unwrap_or_else(|| {
+            structures.push(body);
+            structures.len() - 1
+        });
+        let Model { lipschitz, is_exact, .. } = solid.model;
+        let header =
+            [structure as f32, (1.0 / lipschitz) as f32, solid.frame.scale as f32, f32::from(u8::from(is_exact))];
+        self.add(SceneField { kind: FieldKind::Shape as u32, ..SceneField::default() }, &[&header, &numbers])?;
+        Ok(true)
     }
 
     /// The record of a sampled field; its empty space is appended to the bytes.

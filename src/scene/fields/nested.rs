@@ -15,9 +15,8 @@
 //!
 //! Field space is the grid space of the finest level.
 
-use super::device_fields::DeviceFields;
 use super::field::{Field, FieldHit, FieldRay};
-use crate::error::{DeviceError, Error, SceneError};
+use crate::error::{Error, SceneError};
 use crate::geometry::clip;
 use glam::{DAffine3, Vec3};
 use std::sync::Arc;
@@ -141,17 +140,6 @@ impl Field for NestedField {
     fn distance_guess(&self, p: Vec3, distance: f32) -> f32 {
         let (level, p) = self.at(p);
         level.field.distance_guess(p, distance)
-    }
-
-    fn enter(&self, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
-        let maps: Vec<[Vec3; 2]> = self.levels.iter().map(|level| [level.scale, level.offset]).collect();
-        tables.add_nested(&maps)?;
-        for level in &self.levels {
-            if !level.field.enter(tables)? {
-                return Ok(false);
-            }
-        }
-        Ok(true)
     }
 
     fn may_exceed_distance(&self) -> bool {

@@ -4,7 +4,6 @@
 //! at each evaluation of a field. A scene of dense grids uses the kernels as they are. Other scenes override some of
 //! the imported files. Shapes have one function per structure.
 
-use crate::csg::evaluation::leaf::{KINDS_MODULE, KindSet, kinds_text};
 use crate::csg::text::structure_text::StructureText;
 use crate::gpu::shader::{Instead, shared};
 use std::borrow::Cow;
@@ -17,27 +16,18 @@ pub(crate) enum FieldKind {
     Sparse = 1,
     Quadric = 2,
     Shape = 3,
-    Nested = 4,
 }
 
-/// Largest number of functions for structures of a scene's shapes. A text with more takes minutes to compile; other
-/// shapes are traced through their parts.
+/// Largest number of structures of a scene's shapes. A text with more takes minutes to compile.
 pub(crate) const MAX_STRUCTURES: usize = 8;
 
 /// The kinds of a scene's objects, besides dense grids.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct GeometryKinds {
     pub sparse: bool,
-    pub nested: bool,
     pub quadrics: bool,
     /// The functions of the shapes' structures.
     pub structures: Vec<String>,
-    /// Whether some shapes have no function: rays are traced through their parts.
-    pub parts: bool,
-    /// Whether cones evaluate distances of some of these shapes.
-    pub measured_parts: bool,
-    /// Kinds of the leaves of these shapes.
-    pub(crate) leaves: KindSet,
 }
 
 impl GeometryKinds {
@@ -48,25 +38,12 @@ impl GeometryKinds {
         if self.sparse {
             texts.push(("scene_samples", file("scene_sparse")));
         }
-        if self.nested {
-            texts.push(("scene_levels", file("scene_nested")));
-        }
         if self.quadrics {
             texts.push(("scene_objects", file("scene_quadric")));
         }
-        if !self.structures.is_empty() || self.parts {
+        if !self.structures.is_empty() {
             texts.push(("scene_solids", file("scene_shape")));
-            texts.push(("scene_structures", Cow::Owned(structures_text(&self.structures, self.parts))));
-        }
-        if self.parts {
-            texts.push(("scene_parts", file("scene_part_boxes")));
-            texts.push(("csg_buffers", file("scene_csg_buffers")));
-            let in_scene = |name, text: &str| (name, Cow::Owned(in_scene_buffers(text)));
-            for name in ["csg_tables", "csg_leaves", "csg_interpreter", "csg_walk"] {
-                texts.push(in_scene(name, &file(name)));
-            }
-            texts.push(in_scene("csg_chord", &self.leaves.cases_of(&file("csg_chord"))));
-            texts.push(in_scene(KINDS_MODULE, &kinds_text(self.leaves)));
+            texts.push(("scene_structures", Cow::Owned(structures_text(&self.structures))));
         }
         texts
     }
@@ -90,12 +67,11 @@ impl BeamCases {
 }
 
 /// The override of `shaders/shared/scene/variants/scene_structures.wgsl`.
-fn structures_text(bodies: &[String], has_parts: bool) -> String {
+fn structures_text(bodies: &[String]) -> String {
     let mut text = "// A function for each structure of the shapes of a scene. Their numbers begin at `n`, in the order of the text.\n\n\
-         #import scene_field\n#import csg_field\n#import scene_parts\n"
+         #import scene_field\n#import csg_field\n"
         .to_owned();
     text.push_str(&StructureText::helpers(ARRAY));
-    let others = if has_parts { "parts_distance(p)" } else { "CSG_FAR" };
     let mut cases = String::new();
     for (i, body) in bodies.iter().enumerate() {
         let _ = write!(text, "\nfn structure_{i}(p0: vec3f, n: u32) -> f32 {{\n{body}}}\n");
@@ -104,30 +80,10 @@ fn structures_text(bodies: &[String], has_parts: bool) -> String {
     let _ = write!(
         text,
         "\nfn structure_distance(structure: u32, p: vec3f, first: u32) -> f32 {{\n    switch structure {{\n{cases}        \
-         default: {{ return {others}; }}\n    }}\n}}\n"
+         default: {{ return CSG_FAR; }}\n    }}\n}}\n"
     );
     text
 }
-
-/// A text that reads the tables of one shape from buffers of its own, for the tables in the buffers of a scene
-/// (`shaders/shared/scene/variants/scene_csg_buffers.wgsl`).
-fn in_scene_buffers(text: &str) -> String {
-    const PLACES: [(&str, &str); 8] = [
-        ("numbers[", "samples[first_number + "),
-        ("tokens[", "blocks[first_token + "),
-        ("leaves[leaf]", "leaf_at(leaf)"),
-        ("leaves[warp]", "leaf_at(warp)"),
-        ("boxes[cell]", "box_at(cell)"),
-        ("boxes[node]", "box_at(node)"),
-        // The loops of a shape count as visits.
-        ("rounds++", "visits++"),
-        ("rounds +=", "visits +="),
-    ];
-    PLACES.iter().fold(text.to_owned(), |text, (one, in_scene)| text.replace(one, in_scene))
-}
-
-/// Index of the structure of a shape without a function, as in `shaders/shared/scene/variants/scene_shape.wgsl`.
-pub(crate) const NO_STRUCTURE: u32 = 0xffff;
 
 /// Array with the parameters of shapes, and counter of loop iterations, in `shaders/shared/scene/scene_field.wgsl`.
 pub(crate) const ARRAY: &str = "samples";
@@ -146,19 +102,10 @@ mod tests {
     fn every_text_is_valid() {
         let shape: Shape = language::parse("(difference (box 1 1 1) (sphere 0.6))").unwrap();
         let body = StructureText::of(&Solid::new(&shape).unwrap(), ARRAY, TURNS).unwrap().body;
-        for i in 0..32u8 {
+        for i in 0..8u8 {
             let has = |bit: u8| i >> bit & 1 == 1;
             let structures = if has(2) { vec![body.clone()] } else { Vec::new() };
-            let kinds = GeometryKinds {
-                sparse: has(0),
-                nested: has(4),
-                quadrics: has(1),
-                structures,
-                parts: has(3),
-                measured_parts: has(3),
-                leaves: if has(3) { KindSet::ALL } else { KindSet::default() },
-            };
-            let mut texts = kinds.texts();
+            let mut texts = GeometryKinds { sparse: has(0), quadrics: has(1), structures }.texts();
             texts.push(BeamCases { has_far: has(1), has_wide: has(2) }.text());
             for kernel in ["scene_beams", "scene_fields"] {
                 let text = source_instead(kernel, &texts).unwrap();
@@ -166,8 +113,6 @@ mod tests {
                 assert_eq!(text.contains("fn march_bricks"), has(0));
                 assert_eq!(text.contains("fn quadric_hit"), has(1));
                 assert_eq!(text.contains("fn structure_0"), has(2));
-                assert_eq!(text.contains("fn csg_distance"), has(3));
-                assert_eq!(text.contains("fn level_record"), has(4));
             }
         }
     }

@@ -191,8 +191,8 @@ impl Field for ShapeField {
     }
 
     fn enter(&self, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
-        tables.add_shape(self.tracer(), self.prefers_rays())?;
-        Ok(true)
+        // Devices evaluate the whole shape, which is expensive with many leaves.
+        if self.prefers_rays() { Ok(false) } else { tables.add_shape(self.solid()) }
     }
 
     fn is_met_again(&self) -> bool {

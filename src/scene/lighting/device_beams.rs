@@ -158,7 +158,7 @@ impl DeviceResults {
         for (_, _, surface) in bunch {
             first_beams(pass, surface, &mut beams, &mut inside);
         }
-        let lengths = device.thicknesses(pass.casters, &inside, pass.progress)?;
+        let lengths = device.thicknesses(&inside, pass.progress)?;
         let past_sheets = past_sheets(pass, bunch, |(_, _, surface)| {
             pass.casters.scene.sheets_at(surface, pass.lights, pass.options)
         })?;

@@ -3,8 +3,8 @@
 
 #import scene_solids
 
-// Whether some objects are tested by thin rays.
-const HAS_THIN: bool = HAS_THIN_SOLIDS;
+// No object is tested by thin rays.
+const HAS_THIN: bool = false;
 
 // The first t in [0, t_max] where a ray enters the object, or -1. The ray lies in the box of the surface.
 fn field_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 {
@@ -13,6 +13,5 @@ fn field_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 
 
 // `field_hit` for objects that cones test by thin rays.
 fn thin_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 {
-    if !HAS_THIN_SOLIDS { return -1.0; }
-    return solid_hit(field, origin, along, t_max);
+    return -1.0;
 }

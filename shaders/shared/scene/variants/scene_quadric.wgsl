@@ -39,6 +39,5 @@ fn field_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 
 
 // `field_hit` for objects that cones test by thin rays.
 fn thin_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 {
-    if HAS_THIN_SOLIDS && field.kind != KIND_QUADRIC { return solid_hit(field, origin, along, t_max); }
     return quadric_hit(field, origin, along, t_max);
 }

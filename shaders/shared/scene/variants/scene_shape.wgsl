@@ -1,23 +1,16 @@
-// Shapes of a scene. A shape with a function for its structure is traced and measured as a whole. Others are traced
-// through their parts, see scene_parts.wgsl. Twin of src/scene/fields/shape.rs, and of `march` in
+// Shapes of a scene, traced and measured as a whole. Twin of src/scene/fields/shape.rs, and of `march` in
 // src/csg/parts/trace.rs.
 //
 // Layout of a shape in `samples`:
-//   0    index of its structure, or NO_STRUCTURE
+//   0    index of its structure
 //   1    1 / Lipschitz constant
 //   2    the object's units per local unit
 //   3    1 if the field is an exact distance, else 0
-//   4..  parameters that the function of the structure reads, or the numbers of scene_parts.wgsl
+//   4..  parameters that the function of the structure reads
 
 #import csg_root
-#import scene_levels
-#import scene_parts
+#import scene_sampled
 #import scene_structures
-
-// Shapes with many leaves are tested by thin rays.
-const HAS_THIN_SOLIDS: bool = HAS_PARTS;
-// Index of the structure of a shape without a function.
-const NO_STRUCTURE: u32 = 0xffffu;
 
 // Number of field units in a local unit.
 const SHAPE_UNITS: f32 = 1024.0;
@@ -38,7 +31,6 @@ struct SceneShape {
 
 fn shape_of(field: SceneField) -> SceneShape {
     let at = field.first_sample;
-    select_parts(field);
     return SceneShape(u32(samples[at]), samples[at + 1u], samples[at + 2u], samples[at + 3u] != 0.0, at + 4u);
 }
 
@@ -96,10 +88,6 @@ fn shape_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 
     let start = origin / SHAPE_UNITS;
     let direction = normalize(along);
     let end = t_max * per_t;
-    if HAS_PARTS && shape.structure == NO_STRUCTURE {
-        let hit = parts_hit(start, direction, end);
-        return select(-1.0, hit / per_t, hit >= 0.0);
-    }
     var search = search_from(0.0);
     var state = SEARCHING;
     for (var i = 0u; i < MAX_MARCH_STEPS && state == SEARCHING && steps < MAX_STEPS; i++) {
@@ -112,20 +100,20 @@ fn shape_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 
 
 fn solid_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 {
     if field.kind == KIND_SHAPE { return shape_hit(field, origin, along, t_max); }
-    return stored_hit(field, origin, along, t_max);
+    return sampled_hit(field, origin, along, t_max);
 }
 
 fn field_distance(field: SceneField, p: vec3f) -> f32 {
     if field.kind == KIND_SHAPE { return shape_distance(field, p); }
-    return stored_distance(field, p);
+    return sampled_distance(field, p);
 }
 
 fn field_guess(field: SceneField, p: vec3f, distance: f32) -> f32 {
     if field.kind == KIND_SHAPE { return shape_guess(field, p); }
-    return stored_guess(field, p, distance);
+    return sampled_guess(field, p, distance);
 }
 
 fn field_gradient(field: SceneField, p: vec3f) -> vec3f {
     if field.kind == KIND_SHAPE { return shape_gradient(field, p); }
-    return stored_gradient(field, p);
+    return sampled_gradient(field, p);
 }
