@@ -50,6 +50,8 @@ _TYPES = {
 _VECTOR = re.compile(r"\(([^()]*)\)")
 #: Level of compression. Higher levels make fields only a little smaller.
 _LEVEL = 3
+#: Bytes that are compressed in one call, which Ctrl-C does not interrupt.
+_PIECE = 1 << 20
 #: window of a zlib stream in the gzip format.
 _GZIP_WINDOW = 31
 
@@ -80,7 +82,8 @@ def write(stream: IO[bytes], grid: GridSamples, *, compressed: bool) -> None:
         stream.write(content)
         return
     packer = zlib.compressobj(_LEVEL, wbits=_GZIP_WINDOW)
-    stream.write(packer.compress(content))
+    for first in range(0, len(content), _PIECE):
+        stream.write(packer.compress(content[first : first + _PIECE]))
     stream.write(packer.flush())
 
 
