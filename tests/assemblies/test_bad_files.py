@@ -157,6 +157,8 @@ def test_a_missing_file_and_wrong_arguments(folder):
     (folder / "robot.urdf").write_text(robots.TWO_LINKS)
     with pytest.raises(fb.ArgumentError, match='elements: must be one of "collision", "visual"'):
         fb.Assembly.from_urdf(folder / "robot.urdf", elements="both")
+    with pytest.raises(fb.ArgumentError, match=r"packages: must be a mapping of name to folder, got \['shop'\]"):
+        fb.Assembly.from_urdf(folder / "robot.urdf", packages=["shop"])
     assert fb.Assembly.from_urdf(folder / "robot.urdf", elements="visual").report.geometries == 0
 
 
@@ -179,10 +181,20 @@ MJCF = "<mujoco><worldbody>{}</worldbody></mujoco>"
         ("<mujoco><asset><hfield name='h' nrow='2' ncol='2' size='1 1 1 1' elevation='0 1 2 3'/></asset><worldbody>"
          "<geom name='g' type='hfield' hfield='h'/></worldbody></mujoco>",
          "geom 'g': the type hfield has no closed form"),
+        (MJCF.format("<body name='b' pos='nan 0 0'><geom size='1'/></body>"), "body 'b': pos must be finite numbers"),
+        (MJCF.format("<body name='b' pos='inf 0 0'><freejoint/><geom size='1'/></body>"), "body 'b': pos must be"),
+        (MJCF.format("<body name='b' pos='1e300 0 0'><geom size='1'/></body>"), "body 'b': pos must be finite"),
+        (MJCF.format("<geom name='g' size='1' pos='nan 0 0'/>"), "geom 'g': pos must be finite numbers"),
+        (MJCF.format("<body><joint name='j' pos='nan 0 0'/><geom size='1'/></body>"), "joint 'j': pos must be"),
+        (MJCF.format("<body><joint name='j' ref='nan'/><geom size='1'/></body>"), "joint 'j': ref must be a finite"),
+        (MJCF.format("<body><joint name='j' limited='true' range='nan 1'/><geom size='1'/></body>"),
+         "joint 'j': range must be finite numbers"),
+        (MJCF.format("<geom name='g' size='1e40'/>"), "geom 'g': radius: must be a finite number"),
     ],
 )  # fmt: skip
-def test_a_bad_mjcf_file_is_one_error_of_one_line(folder, opened, text, message):
+def test_a_bad_mjcf_file_is_one_error_of_one_line(folder, opened, text, message, monkeypatch):
     pytest.importorskip("mujoco", reason="MuJoCo is not installed")
+    monkeypatch.chdir(folder)  # MuJoCo logs NaN to a file in the current folder
     (folder / "robot.xml").write_text(text)
 
     with pytest.raises(fb.FormatError, match=re.escape(message)) as caught:

@@ -270,6 +270,7 @@ def test_mistakes_name_the_argument(arm):
         (lambda: arm.query([(0, 0, 0)], arm.home, paired=True), "paired: needs points of shape"),
         (lambda: arm.query([(0, 0, 0)], paired=1), "paired: must be True or False"),
         (lambda: arm.query([(0, 0, 0)], bodies=["foot"]), "bodies: 'foot' is no body"),
+        (lambda: arm.query([(0, 0, 0)], bodies=[-1]), "bodies: rows must be from 0 to 10, got -1"),
         (lambda: arm.query([(0, 0, 0)], bodies=[11]), "bodies: rows must be from 0 to 10"),
         (lambda: arm.query([(0, 0, 0)], bodies=[1.5]), "bodies: must be names or rows"),
     ]

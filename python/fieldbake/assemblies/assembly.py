@@ -325,7 +325,7 @@ class Assembly:
             raise ArgumentError(f"values: must have shape (m,) or (b, m), got {array.shape}")
         place = checks.real_array("points", points, "(..., 3)")
         flat, shape = checks.points(place)
-        rows = self._body_rows("bodies", bodies)
+        rows = self._body_rows("bodies", bodies, least=-1)
         if array.ndim == 2 and shape[:1] != array.shape[:1]:
             raise ArgumentError(f"points: must have shape ({len(array)}, ..., 3) for {len(array)} rows of values, "
                                 f"got {(*shape, 3)}")  # fmt: skip
@@ -527,8 +527,8 @@ class Assembly:
             result[self._rows[name]] = array
         return result
 
-    def _body_rows(self, name: str, bodies: Any) -> NDArray[np.int64]:
-        """Rows of bodies that are given by names or rows."""
+    def _body_rows(self, name: str, bodies: Any, least: int = 0) -> NDArray[np.int64]:
+        """Rows of bodies that are given by names or rows, which are at least `least`."""
         count = len(self._bodies)
         if isinstance(bodies, str):
             return np.array(self._row(name, bodies), dtype=np.int64)
@@ -539,7 +539,7 @@ class Assembly:
             return array.astype(np.int64)
         if array.dtype.kind not in "iu":
             raise ArgumentError(f"{name}: must be names or rows of bodies, got {checks.describe(bodies)}")
-        if not (array.min() >= -1 and array.max() < count):
+        if not (array.min() >= least and array.max() < count):
             raise ArgumentError(f"{name}: rows must be from 0 to {count - 1}, got {int(array.min())} to "
                                 f"{int(array.max())}")  # fmt: skip
         return array.astype(np.int64)

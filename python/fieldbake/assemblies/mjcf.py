@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base import checks
-from ..base.errors import ArgumentError, FormatError
+from ..base.errors import ArgumentError, Error, FormatError
 from ..base.optional import optional_module
 from ..meshes.mesh import Mesh
 from ..shapes import primitives
@@ -35,13 +35,20 @@ def read_mjcf(source: Any, elements: str) -> tuple[Any, ...]:
     else:
         raise ArgumentError(f"source: must be a path, an MjSpec or an MjModel, got {checks.describe(source)}")
     names = _body_names(model, name)
+    _check_numbers(model, name)
     meshes: dict[int, Mesh] = {}
     bodies: dict[str, list[tuple[Mesh | Shape, NDArray[np.float64]]]] = {body: [] for body in names}
     for i in range(model.ngeom):
         collides = bool(model.geom_contype[i]) or bool(model.geom_conaffinity[i])
         if collides if elements == "collision" else model.geom_group[i] < VISIBLE_GROUPS:
             place = _transform(model.geom_pos[i], model.geom_quat[i])
-            bodies[names[model.geom_bodyid[i]]].append((_geometry(mujoco, model, i, name, meshes), place))
+            try:
+                geometry = _geometry(mujoco, model, i, name, meshes)
+            except FormatError:
+                raise
+            except Error as error:
+                raise FormatError(f"{name}: geom {model.geom(i).name or f'number {i}'!r}: {error}") from None
+            bodies[names[model.geom_bodyid[i]]].append((geometry, place))
     joints: list[Joint] = []
     roots: dict[str, NDArray[np.float64]] = {}
     for body in range(1, model.nbody):
@@ -59,6 +66,30 @@ def _body_names(model: Any, source: str) -> list[str]:
     if len(set(names)) < len(names):
         raise FormatError(f"{source}: two bodies have one name; name all bodies")
     return names
+
+
+def _check_numbers(model: Any, source: str) -> None:
+    """Raise FormatError for a place or a limit that is not finite, which MuJoCo accepts."""
+    for kind, count, attributes in (
+        ("body", model.nbody, ("pos", "quat")),
+        ("geom", model.ngeom, ("pos", "quat")),
+        ("jnt", model.njnt, ("pos", "axis", "range")),
+    ):
+        for attribute in attributes:
+            rows = getattr(model, f"{kind}_{attribute}")
+            bad = [i for i in range(count) if not (np.abs(rows[i]) <= checks.FAR).all()]
+            if bad:
+                i = bad[0]
+                element = "joint" if kind == "jnt" else kind
+                label = getattr(model, element)(i).name or f"number {i}"
+                raise FormatError(
+                    f"{source}: {element} {label!r}: {attribute} must be finite numbers, got {rows[i].tolist()}"
+                )
+    if not (np.abs(model.qpos0) <= checks.FAR).all():
+        i = int(np.flatnonzero(~(np.abs(model.qpos0) <= checks.FAR))[0])
+        joint = int(np.flatnonzero(model.jnt_qposadr <= i)[-1])
+        label = model.joint(joint).name or f"number {joint}"
+        raise FormatError(f"{source}: joint {label!r}: ref must be a finite number, got {model.qpos0[i]:g}")
 
 
 def _transform(position: Any, quaternion: Any) -> NDArray[np.float64]:

@@ -44,6 +44,8 @@ def read_urdf(
     """Read the parts of an assembly: bodies, joints, ignored pairs, largest deviation, default poses of roots."""
     file = checks.path(path)
     checks.choice("elements", elements, ("collision", "visual"))
+    if packages is not None and not isinstance(packages, Mapping):
+        raise ArgumentError(f"packages: must be a mapping of name to folder, got {checks.describe(packages)}")
     folders = {checks.text("packages", name): checks.path(folder) for name, folder in (packages or {}).items()}
     reader = _Reader(file, GeometryFiles(file, folders))
     with progress_callback(progress, "robot") as callback:
