@@ -32,7 +32,7 @@ DRIVER_FOLDERS = ("/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d", "/usr/sh
 #: A requirement in the metadata of a package: name, lower bound of the version, extra.
 REQUIREMENT = re.compile(r"(?P<name>[\w.-]+)[^>;]*(?:>=\s*(?P<least>[\w.]+))?[^;]*(?:;.*extra == ['\"](?P<extra>\w+))?")
 
-#: The module of a package whose name differs.
+#: The module of a package whose name differs by more than hyphens, which are underscores in modules.
 MODULES = {"pillow": "PIL"}
 
 
@@ -109,7 +109,7 @@ def _packages() -> list[dict[str, Any]]:
         elif extra is None and version is None:
             row["error"] = "not installed"
         elif extra is None:
-            _, row["error"] = attempt(importlib.import_module, MODULES.get(name, name))
+            _, row["error"] = attempt(importlib.import_module, MODULES.get(name, name.replace("-", "_")))
         rows.append(row)
     return rows
 
