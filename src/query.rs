@@ -24,7 +24,7 @@ mod rays;
 mod surface;
 mod thickness;
 
-pub use inside::{contains, winding_numbers};
+pub use inside::{contains, derive_winding_tables, winding_numbers};
 pub use nearest::{ClosestPoints, Nearest, Query, Search, closest_points, query};
 pub use precise::{precise_signed_distances, refined};
 pub use ray_list::Rays;

@@ -116,11 +116,14 @@ impl Mesh {
 
     /// Number of pairs of faces without a common vertex that intersect.
     fn self_intersections(&self, py: Python<'_>) -> PyResult<u64> {
+        self.prepare(py)?;
         Ok(run(py, None, |progress| count_self_intersections(&self.0, progress))?)
     }
 
     /// Bounds from below and above of the largest distance from this surface to another one.
     fn deviation(&self, py: Python<'_>, other: PyRef<'_, Self>) -> PyResult<(f64, f64)> {
+        self.prepare(py)?;
+        other.prepare(py)?;
         let other = other.0.clone();
         let found = run(py, None, |progress| deviation(&self.0, &other, progress))?;
         Ok((found.lower, found.upper))

@@ -6,10 +6,11 @@ use super::convert::{Field, owned_rows, rows, volume_array};
 use super::device::choose;
 use super::error::Failure;
 use super::mesh::Mesh;
-use super::run::{run, run_sized};
+use super::run::{run, run_owned, run_sized};
 use crate::gpu::Place;
 use crate::query as core;
 use crate::sign::SignMethod;
+use crate::sign::raw::RawClosure;
 use crate::solid;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::prelude::*;
@@ -186,6 +187,11 @@ pub(super) fn winding_number<'py>(
     mesh.prepare(py)?;
     let mesh = mesh.0.clone();
     let points = rows(&points, "points")?;
+    if !mesh.has_derived::<RawClosure>() {
+        // The tables of millions of faces take seconds. Ctrl-C leaves them to a worker thread.
+        let owned = mesh.clone();
+        run_owned(py, move |_| Ok(core::derive_winding_tables(&owned, error)))?;
+    }
     let found = run_sized(py, progress, is_short(&mesh, points.len(), &Place::Cpu), |progress| {
         core::winding_numbers(&mesh, points, error, progress)
     })?;

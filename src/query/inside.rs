@@ -78,17 +78,24 @@ pub fn winding_numbers(mesh: &Mesh, points: &[[f64; 3]], error: f64, progress: &
         rayon::join(|| mesh.bvh(), || mesh.topology());
     }
     let closure = mesh.raw_closure();
-    // The dipoles use the repaired orientation, so they apply to surfaces without a repair only.
-    let topology = mesh.topology();
-    let repaired = topology.flipped_faces > 0 || topology.duplicate_faces > 0;
-    let fast = error >= DIPOLE_ERROR && !repaired && closure.is_costly(mesh);
-    if fast {
-        mesh.moments();
-    }
+    let fast = derive_winding_tables(mesh, error);
     let answers = answer_in_order(&Place::Cpu, mesh, points, progress, |_, p, _| {
         if fast { mesh.moments().winding(mesh, p) } else { closure.winding(mesh, p) }
     })?;
     answers.into_rows(progress)
+}
+
+/// Builds the tables that [`winding_numbers`] reads, and returns whether it sums dipoles.
+pub fn derive_winding_tables(mesh: &Mesh, error: f64) -> bool {
+    let is_costly = mesh.raw_closure().is_costly(mesh);
+    // The dipoles use the repaired orientation, so they apply to surfaces without a repair only.
+    let topology = mesh.topology();
+    let is_repaired = topology.flipped_faces > 0 || topology.duplicate_faces > 0;
+    let fast = error >= DIPOLE_ERROR && !is_repaired && is_costly;
+    if fast {
+        mesh.moments();
+    }
+    fast
 }
 
 /// Typical error of the dipoles of `sign::winding`, turns: an estimate from test meshes, not a bound. Close to large

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from typing import Any
 
 import numpy as np
@@ -46,25 +45,3 @@ class Cursor:
     def array(self, count: int, kind: str) -> NDArray[Any]:
         """Return the next `count` numbers as a view of the bytes."""
         return np.frombuffer(self.take(count * np.dtype(kind).itemsize), kind)
-
-
-#: Packed bytes that are unpacked in one call, which Ctrl-C does not interrupt. A byte unpacks to at most 1,032 bytes.
-_PIECE = 1 << 16
-
-
-def inflate(packed: bytes | memoryview, size: int, window: int = 15) -> bytes:
-    """Unpack a zlib stream of `size` bytes. Unpacking stops at that size."""
-    unpacker = zlib.decompressobj(window)
-    content = bytearray()
-    data = memoryview(packed)
-    try:
-        for start in range(0, len(data), _PIECE):
-            # One byte more than expected shows that the stream is too long.
-            content += unpacker.decompress(data[start : start + _PIECE], size + 1 - len(content))
-            if unpacker.eof or len(content) > size:
-                break
-    except zlib.error as error:
-        raise FormatError(f"compressed bytes are damaged ({error})") from None
-    if len(content) != size:
-        raise FormatError(f"compressed bytes do not hold {size} bytes")
-    return bytes(content)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import re
-import zlib
 from pathlib import Path
 from typing import IO, Any
 
@@ -16,8 +15,8 @@ from numpy.typing import NDArray
 
 from ..base.errors import FormatError
 from . import sidecar
+from .compression import GZIP_WINDOW, gzip_pieces, inflate
 from .container import MAX_HEADER_BYTES, atomic_write
-from .cursor import inflate
 from .formats import FieldFile, Format
 from .grid_samples import GridSamples, as_samples, checked_count, samples_of
 
@@ -50,10 +49,6 @@ _TYPES = {
 _VECTOR = re.compile(r"\(([^()]*)\)")
 #: Level of compression. Higher levels make fields only a little smaller.
 _LEVEL = 3
-#: Bytes that are compressed in one call, which Ctrl-C does not interrupt.
-_PIECE = 1 << 20
-#: window of a zlib stream in the gzip format.
-_GZIP_WINDOW = 31
 
 
 def write(stream: IO[bytes], grid: GridSamples, *, compressed: bool) -> None:
@@ -81,10 +76,7 @@ def write(stream: IO[bytes], grid: GridSamples, *, compressed: bool) -> None:
     if not compressed:
         stream.write(content)
         return
-    packer = zlib.compressobj(_LEVEL, wbits=_GZIP_WINDOW)
-    for first in range(0, len(content), _PIECE):
-        stream.write(packer.compress(content[first : first + _PIECE]))
-    stream.write(packer.flush())
+    stream.writelines(gzip_pieces(content, _LEVEL))
 
 
 def read(data: bytes) -> GridSamples:
@@ -116,7 +108,7 @@ def read(data: bytes) -> GridSamples:
     size = checked_count(sizes) * dtype.itemsize
     encoding = header.get("encoding", "").lower()
     if encoding in ("gzip", "gz"):
-        content = inflate(content, size, _GZIP_WINDOW)
+        content = inflate(content, size, GZIP_WINDOW)
     elif encoding != "raw":
         raise FormatError(f"the encoding is {encoding[:40]!r}; raw and gzip are read")
     if len(content) != size:

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from ..base.errors import CapacityError, Error, FormatError
 from ..base.optional import optional_module
 from .band_blocks import SIDE
-from .cursor import Cursor, inflate
+from .compression import inflate
+from .cursor import Cursor
 from .openvdb import ACTIVE_MASK, BLOSC, HALF_SUFFIX, LOWER, LOWER_VOXELS, MAGIC, TREE, UPPER, UPPER_VOXELS, ZIP
 
 #: Versions with this layout. OpenVDB 2 wrote the first of them.

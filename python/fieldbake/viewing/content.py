@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import json
 import math
 from collections.abc import Sequence
@@ -20,6 +19,7 @@ from ..base.errors import SceneError
 from ..base.notices import warn
 from ..drawing.frame import Frame
 from ..drawing.raymarching import PICTURE_RESOLUTION, raymarch
+from ..files.compression import gzip_pieces
 from ..meshes.mesh import Mesh
 from ..meshes.part import Part
 from ..scaling.zarr_volume import ZarrVolume
@@ -126,7 +126,7 @@ class Content:
         text = json.dumps(self._description(rows), allow_nan=False).encode()
         text += b" " * (-len(text) % 4)
         data = len(text).to_bytes(4, "little") + text + words.astype("<u4").tobytes()
-        return gzip.compress(data, 9, mtime=0)
+        return b"".join(gzip_pieces(data, 9))
 
     def _programs(self) -> dict[str, Any]:
         """The shaders of each program in both languages; None for triangles that the view does not draw.
