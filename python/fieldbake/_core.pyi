@@ -916,7 +916,6 @@ def merge(
     upper: tuple[float, float, float],
     shape: tuple[int, int, int],
     *,
-    method: str = "bound",
     previous: tuple[NDArray[np.float32], NDArray[np.uint32], list[int]] | None = None,
     device: str = "auto",
     progress: Callable[[float], object] | None = None,
@@ -983,7 +982,7 @@ def atlas_sample(
     *,
     filter: str = "linear",
 ) -> NDArray[np.float32]:
-    """The field of a block (1, 10) at ``points`` (n, 3); ``filter`` is "linear", "nearest" or "slice"."""
+    """The field of a block (1, 10) at ``points`` (n, 3); ``filter`` is "linear" or "nearest"."""
 
 def atlas_texture_coordinates(
     block: NDArray[np.uint32],

@@ -3,7 +3,7 @@
 use super::entry::Facts;
 use super::gpu::{DeviceItem, DevicePages};
 use super::plan::plan;
-use super::sample::{AtlasField, AtlasFilter};
+use super::sample::AtlasField;
 use super::shader::{ShaderOptions, Texels, wgsl};
 use super::texels::{self, Item};
 use super::{AtlasBlock, Layout};
@@ -12,8 +12,8 @@ use crate::gpu::Context;
 use crate::gpu::tests::test_context;
 use crate::grid::Grid;
 use crate::progress::Progress;
-use crate::volume::Trilinear;
 use crate::volume::device::DeviceField;
+use crate::volume::{SampleFilter, Trilinear};
 use glam::{DMat4, DVec3, Vec3};
 use std::sync::Arc;
 
@@ -186,9 +186,8 @@ fn the_wgsl_samples_the_texture_as_the_cpu_samples_the_pages() {
                 let field = AtlasField::new(&packed.host, PAGE, encoding, scale(encoding), block, grid);
                 let here: Vec<usize> = (0..points.len()).filter(|&i| points[i][3] == entry as f32).collect();
                 let worlds: Vec<DVec3> = here.iter().map(|&i| Vec3::from_slice(&points[i]).as_dvec3()).collect();
-                let expected = field
-                    .sample_filtered(&worlds, [grid.lower, grid.upper], AtlasFilter::Linear, &Progress::new())
-                    .unwrap();
+                let expected =
+                    field.sample(&worlds, [grid.lower, grid.upper], SampleFilter::Linear, &Progress::new()).unwrap();
                 for (&i, (expected, world)) in here.iter().zip(expected.iter().zip(&worlds)) {
                     // Positions of up to 23 voxels are rounded in f32. The samples of this cell bound the slope.
                     let cell = field.clamp_to_box(field.grid_from_world(*world)).floor().as_ivec3();

@@ -7,7 +7,7 @@
 //! along z the same slice is read twice.
 //!
 //! The article "Packing 3D SDF to a 2D Texture" takes one tap in the slice that contains the point, so its field has a
-//! step at every slice. [`AtlasFilter::Slice`] implements it for comparison.
+//! step at every slice.
 //!
 //! # Practice
 //!
@@ -15,31 +15,10 @@
 
 use super::AtlasBlock;
 use crate::encoding::Encoding;
-use crate::error::{ArgumentError, Error, choice};
 use crate::grid::Grid;
-use crate::progress::Progress;
 use crate::volume::outside::bound_outside;
-use crate::volume::{Cell, SampleFilter, Trilinear, trilinear};
+use crate::volume::{Cell, Trilinear};
 use glam::{DVec2, DVec3, IVec3};
-
-/// Interpolation of the texels.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) enum AtlasFilter {
-    /// Two bilinear taps and interpolation along z: the trilinear field.
-    #[default]
-    Linear,
-    /// The texel of the voxel that contains the point.
-    Nearest,
-    /// The article's filter: one bilinear tap in the slice that contains the point.
-    Slice,
-}
-
-impl AtlasFilter {
-    /// Converts the public name of a filter.
-    pub(crate) fn from_name(name: &str) -> Result<Self, ArgumentError> {
-        choice("filter", name, &[("linear", Self::Linear), ("nearest", Self::Nearest), ("slice", Self::Slice)])
-    }
-}
 
 /// A field that lies in the pages of an atlas.
 pub(crate) struct AtlasField<'a> {
@@ -72,22 +51,6 @@ impl<'a> AtlasField<'a> {
             .collect();
         let page = &pages[block.page as usize * page_bytes..][..page_bytes];
         Self { grid, page, row_texels, encoding, scale, slices }
-    }
-
-    /// The field at points of its own space. Outside the box: a lower bound on the distance to a surface in the box
-    /// `inner`.
-    pub(crate) fn sample_filtered(
-        &self,
-        points: &[DVec3],
-        inner: [DVec3; 2],
-        filter: AtlasFilter,
-        progress: &Progress,
-    ) -> Result<Vec<f32>, Error> {
-        match filter {
-            AtlasFilter::Linear => self.sample(points, inner, SampleFilter::Linear, progress),
-            AtlasFilter::Nearest => self.sample(points, inner, SampleFilter::Nearest, progress),
-            AtlasFilter::Slice => BySlice(self).sample(points, inner, SampleFilter::Linear, progress),
-        }
     }
 
     /// The samples at the corners of a cell, for texels of `N` bytes: four of a slice, then four of the next.
@@ -123,32 +86,6 @@ impl Trilinear for AtlasField<'_> {
     }
 }
 
-/// A field in the pages of an atlas, read by the article's filter.
-struct BySlice<'a>(&'a AtlasField<'a>);
-
-impl Trilinear for BySlice<'_> {
-    fn grid(&self) -> &Grid {
-        self.0.grid()
-    }
-
-    fn cell(&self, index: IVec3) -> Cell {
-        self.0.cell(index)
-    }
-
-    fn distance_bound(&self, p: DVec3, inner: [DVec3; 2]) -> f32 {
-        self.0.distance_bound(p, inner)
-    }
-
-    fn sample_linear(&self, p: DVec3) -> f32 {
-        let p_grid = self.clamp_to_box(self.grid_from_world(p));
-        let index = p_grid.floor();
-        // Only the slice that contains the point is read.
-        let slice = p_grid.z.round().clamp(0.0, self.shape().z - 1.0);
-        let cell = self.cell(index.with_z(slice).as_ivec3());
-        trilinear(&cell.corners, (p_grid - index).with_z(0.0).as_vec3())
-    }
-}
-
 /// The bits of a texel of `N` bytes.
 #[inline]
 fn bits<const N: usize>(page: &[u8], texel: usize) -> u32 {
@@ -179,7 +116,8 @@ mod tests {
     use super::super::plan::plan;
     use super::super::texels::{Item, write};
     use super::*;
-    use crate::volume::FieldView;
+    use crate::progress::Progress;
+    use crate::volume::{FieldView, SampleFilter};
     use proptest::prelude::*;
 
     proptest! {
@@ -203,10 +141,10 @@ mod tests {
             let item = Item { block, distances: &distances, scale: 1.0 };
             write(bytemuck::cast_slice_mut(&mut pages), 32, Encoding::Float32, &[item], &Progress::new()).unwrap();
             let field = AtlasField::new(bytemuck::cast_slice(&pages), 32, Encoding::Float32, 1.0, &block, grid);
-            for (ours, theirs) in [(AtlasFilter::Linear, SampleFilter::Linear), (AtlasFilter::Nearest, SampleFilter::Nearest)] {
+            for filter in [SampleFilter::Linear, SampleFilter::Nearest] {
                 prop_assert_eq!(
-                    field.sample_filtered(&points, inner, ours, &Progress::new()).unwrap(),
-                    view.sample(&points, inner, theirs, &Progress::new()).unwrap()
+                    field.sample(&points, inner, filter, &Progress::new()).unwrap(),
+                    view.sample(&points, inner, filter, &Progress::new()).unwrap()
                 );
             }
         }

@@ -177,11 +177,6 @@ wgsl_constants! {
     raymarch_nearest {
         PARALLEL: f32 as f32 = PARALLEL_DIRECTION;
     }
-    ray_filtered {
-        /// Largest number of steps of a ray: more than twice the voxels along the diagonal of the largest 3D texture
-        /// that devices offer.
-        MAX_STEPS: usize as u32 = 16384;
-    }
     ray_sparse {
         PARALLEL: f32 as f32 = PARALLEL_DIRECTION;
         /// Largest number of steps of a ray. Grids in which a ray may visit more cells are refused.

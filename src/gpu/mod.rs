@@ -22,7 +22,6 @@ pub(crate) mod pipeline;
 pub(crate) mod raster;
 pub(crate) mod shader;
 pub(crate) mod table;
-pub(crate) mod texture;
 pub(crate) mod timer;
 
 #[cfg(test)]

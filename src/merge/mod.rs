@@ -2,11 +2,11 @@
 //!
 //! # Theory
 //!
-//! The method is the coarse aggregate of *Signed Distance Fields in Unity* (a blog post, implemented in [`article`]),
-//! with two changes. First, the article's value outside a volume, the distance to the box plus the value at the nearest
-//! point of the box, is an upper bound on the distance, so rays pass through objects. Here each field gives a proven
-//! lower bound ([`placed`]), and the minimum of lower bounds is a lower bound on the distance to the union. Second, the
-//! loop over all volumes for every cell is replaced by a tree over their boxes.
+//! The method is the coarse aggregate of *Signed Distance Fields in Unity* (a blog post), with two changes. First, the
+//! article's value outside a volume, the distance to the box plus the value at the nearest point of the box, is an upper
+//! bound on the distance, so rays pass through objects. Here each field gives a proven lower bound ([`placed`]), and the
+//! minimum of lower bounds is a lower bound on the distance to the union. Second, the loop over all volumes for every
+//! cell is replaced by a tree over their boxes.
 //!
 //! Samples are computed in blocks of 4^3. A block searches the tree from near to far. The search ends at the largest
 //! value of its samples so far. A skipped field lies in a box that is farther away than the value of every sample, and
@@ -21,11 +21,9 @@
 //! [`merge`] runs on all cores by slabs of blocks. [`merge_on_device`] finds the owners on a graphics device. The
 //! merged field is interpolated between samples, so it may exceed the distance there; at the samples it does not.
 
-mod article;
 mod gpu;
 pub(crate) mod placed;
 
-pub use article::merge_as_article;
 pub use gpu::merge_on_device;
 pub use placed::{Geometry, Placed};
 

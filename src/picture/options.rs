@@ -37,8 +37,6 @@ pub enum Filter {
     Linear,
     /// The sample of the voxel that contains a point: the solid is a union of voxels.
     Nearest,
-    /// The texture hardware of a graphics device, with rounded weights and half floats.
-    Hardware,
 }
 
 /// Distance of the start of a shadow ray from a trilinear surface, voxels. The surface departs from a smooth one by
@@ -52,7 +50,7 @@ const FACE_BIAS_VOXELS: f32 = 1e-3;
 impl Filter {
     /// Converts the public name of a filter.
     pub fn from_name(name: &str) -> Result<Self, ArgumentError> {
-        choice("filter", name, &[("linear", Self::Linear), ("nearest", Self::Nearest), ("hardware", Self::Hardware)])
+        choice("filter", name, &[("linear", Self::Linear), ("nearest", Self::Nearest)])
     }
 
     /// Distance of the start of a shadow ray from the surface, voxels.

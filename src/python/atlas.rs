@@ -8,7 +8,7 @@ use super::device::{DeviceField, choose};
 use super::error::{Failure, exception};
 use super::run::{run, run_short};
 use crate::atlas::entry::{AtlasEntry, Facts, StripEntry};
-use crate::atlas::sample::{AtlasField, AtlasFilter, texture_coordinates};
+use crate::atlas::sample::{AtlasField, texture_coordinates};
 use crate::atlas::shader::{ShaderOptions, Texels, shader};
 use crate::atlas::texels::{self, Item};
 use crate::atlas::{AtlasBlock, Layout, gpu, plan};
@@ -17,7 +17,7 @@ use crate::gpu::Place;
 use crate::grid::Grid;
 use crate::memory;
 use crate::shader_text::translation::Language;
-use crate::volume::device;
+use crate::volume::{SampleFilter, Trilinear, device};
 use glam::{DMat4, DVec3};
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3,
@@ -225,15 +225,14 @@ pub(super) fn atlas_sample<'py>(
     filter: &str,
 ) -> PyResult<Bound<'py, PyArray1<f32>>> {
     let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
-    let filter = AtlasFilter::from_name(filter).map_err(Failure::from)?;
+    let filter = SampleFilter::from_name(filter).map_err(Failure::from)?;
     let page_size = check_pages(py, pages.shape(), encoding, blocks(&block)?)?;
     let block = only(py, &block)?;
     let grid = grid(&block, lower, upper)?;
     let texels = pages.as_slice()?;
     let inner = [DVec3::from_array(inner_lower), DVec3::from_array(inner_upper)];
     let values = run(py, None, |progress| {
-        AtlasField::new(texels, page_size, encoding, scale, &block, grid)
-            .sample_filtered(&points, inner, filter, progress)
+        AtlasField::new(texels, page_size, encoding, scale, &block, grid).sample(&points, inner, filter, progress)
     })?;
     Ok(values.into_pyarray(py))
 }

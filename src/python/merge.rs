@@ -7,7 +7,7 @@ use super::quadric::quadric_rows;
 use super::run::run;
 use crate::error::{DeviceError, Error};
 use crate::gpu::Place;
-use crate::merge::{Merged, Placed, merge as merge_all, merge_as_article, merge_on_device, update};
+use crate::merge::{Merged, Placed, merge as merge_all, merge_on_device, update};
 use crate::quadric::local::Local;
 use glam::{DAffine3, DMat4, DVec3};
 use numpy::{
@@ -27,7 +27,7 @@ type MergeArrays<'py> = (Bound<'py, PyArray3<f32>>, Option<Bound<'py, PyArray1<u
 /// Merges placed volumes and quadrics into one field.
 #[pyfunction]
 #[pyo3(signature = (
-    volumes, instances, transforms, quadrics, lower, upper, shape, *, method="bound", previous=None, device="auto",
+    volumes, instances, transforms, quadrics, lower, upper, shape, *, previous=None, device="auto",
     progress=None
 ))]
 pub(super) fn merge<'py>(
@@ -39,7 +39,6 @@ pub(super) fn merge<'py>(
     lower: [f64; 3],
     upper: [f64; 3],
     shape: [usize; 3],
-    method: &str,
     previous: Option<Previous<'py>>,
     device: &str,
     progress: Option<&Bound<'py, PyAny>>,
@@ -68,14 +67,6 @@ pub(super) fn merge<'py>(
     let place = choose(py, device)?;
     let facts = PyDict::new(py);
     facts.set_item("device", Place::Cpu.label())?;
-    if method == "article" {
-        if device != "auto" && matches!(place, Place::Gpu(_)) {
-            let reason = "the article's loop runs on the CPU only".to_owned();
-            return Err(Failure::from(DeviceError::NotAvailable { requested: device.to_owned(), reason }).into());
-        }
-        let distances = run(py, progress, |progress| merge_as_article(&grid, &placed, progress))?;
-        return Ok((volume_array(py, distances, shape)?, None, facts));
-    }
     let earlier = match &previous {
         None => None,
         Some((distances, owners, changed)) => {

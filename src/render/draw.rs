@@ -27,10 +27,6 @@ pub fn raymarch<F: Blocks>(
     progress: &Progress,
 ) -> Result<Frame, Error> {
     options.check()?;
-    if options.filter == Filter::Hardware {
-        let problem = "\"hardware\" needs a graphics device, and this picture is drawn on the CPU; use device=\"gpu\"";
-        return Err(ArgumentError::new("filter", problem).into());
-    }
     let lights = options.unit_lights()?;
     let marcher = Marcher::new(field, progress)?;
     let shader = Shader::new(&marcher, options, &lights);
@@ -152,7 +148,7 @@ pub fn raymarch_on_device(
     options: &RaymarchOptions,
     progress: &Progress,
 ) -> Result<Frame, Error> {
-    draw_on_device(|| MarchedField::dense(field, grid, options.filter), grid, camera, options, progress)
+    draw_on_device(|| Ok(MarchedField::dense(field, options.filter)?), grid, camera, options, progress)
 }
 
 /// Checks the request, copies the field to its device, and draws it there.

@@ -1,5 +1,5 @@
-//! Fields for the ray marcher on a graphics device: dense samples in any encoding, a texture of half floats, bricks,
-//! nested grids.
+//! Fields for the ray marcher on a graphics device: dense samples in any encoding, bricks, nested
+//! grids.
 //!
 //! Stored samples are uploaded unchanged and decoded by the kernel, so a field has the same size on the device as on
 //! the host. A sparse field needs one more byte per brick, for the leaps.
@@ -8,8 +8,7 @@ use crate::encoding::Encoding;
 use crate::error::{ArgumentError, DeviceError, Error};
 use crate::gpu::Context;
 use crate::gpu::constants::ray_sparse::MAX_STEPS;
-use crate::gpu::layout::{NestedLevel, StoredParams, TextureParams};
-use crate::gpu::texture::{FilteredTexture, row_bytes};
+use crate::gpu::layout::{NestedLevel, StoredParams};
 use crate::grid::Grid;
 use crate::march::blocks::Blocks;
 use crate::march::bricks::MaskedBricks;
@@ -21,52 +20,32 @@ use crate::volume::sparse::SparseView;
 use crate::volume::{FieldView, Texel, Trilinear};
 use std::sync::Arc;
 
-/// Size of the pieces in which a field is copied to a texture, bytes.
-const TEXTURE_PIECE_BYTES: u64 = 32 << 20;
-/// Number of workgroups along x.
-const WORKGROUPS_PER_ROW: u32 = 65_535;
-
 /// A field on a device, and the kernel that marches rays through it.
 pub(super) struct MarchedField {
     pub context: Arc<Context>,
     pub kernel: &'static str,
     buffers: Vec<(u32, wgpu::Buffer)>,
-    texture: Option<FilteredTexture>,
 }
 
 impl MarchedField {
-    /// The buffers and textures that the kernel binds besides the parameters of the picture.
+    /// The buffers that the kernel binds besides the parameters of the picture.
     pub(super) fn resources(&self) -> impl Iterator<Item = (u32, wgpu::BindingResource<'_>)> {
-        let buffers = self.buffers.iter().map(|(binding, buffer)| (*binding, buffer.as_entire_binding()));
-        let texture = self.texture.iter().flat_map(|texture| {
-            [
-                (5, wgpu::BindingResource::TextureView(&texture.view)),
-                (6, wgpu::BindingResource::Sampler(&texture.sampler)),
-            ]
-        });
-        buffers.chain(texture)
+        self.buffers.iter().map(|(binding, buffer)| (*binding, buffer.as_entire_binding()))
     }
 
     /// Float32 samples that are already on the device.
-    pub(super) fn dense(field: &DeviceField, grid: &Grid, filter: Filter) -> Result<Self, Error> {
-        let context = field.context().clone();
-        Ok(match filter {
-            Filter::Linear | Filter::Nearest => {
-                let kernel = if filter == Filter::Linear { "raymarch" } else { "raymarch_nearest" };
-                let buffers = vec![(1, whole(field)?.clone())];
-                Self { context, kernel, buffers, texture: None }
-            }
-            Filter::Hardware => {
-                let texture = Some(texture(field, grid)?);
-                Self { context, kernel: "raymarch_filtered", buffers: Vec::new(), texture }
-            }
-        })
+    pub(super) fn dense(field: &DeviceField, filter: Filter) -> Result<Self, DeviceError> {
+        let kernel = match filter {
+            Filter::Linear => "raymarch",
+            Filter::Nearest => "raymarch_nearest",
+        };
+        Ok(Self { context: field.context().clone(), kernel, buffers: vec![(1, whole(field)?.clone())] })
     }
 
     /// Copies samples to a device in their stored encoding.
     pub(super) fn encoded<T: Texel>(context: &Arc<Context>, field: FieldView<'_, T>) -> Result<Self, Error> {
         let buffers = stored(context, "a field", field.texels(), field.scale())?;
-        Ok(Self { context: context.clone(), kernel: "raymarch_encoded", buffers: buffers.into(), texture: None })
+        Ok(Self { context: context.clone(), kernel: "raymarch_encoded", buffers: buffers.into() })
     }
 
     /// Copies bricks to a device in their stored encoding.
@@ -85,7 +64,7 @@ impl MarchedField {
         buffers.push((6, context.upload("distances between bricks", &nodes)?));
         buffers.push((8, context.upload_bytes("empty space", empty.distances())?));
         buffers.push((9, context.uniform("parameters of bricks", &params)?));
-        Ok(Self { context: context.clone(), kernel: "raymarch_sparse", buffers, texture: None })
+        Ok(Self { context: context.clone(), kernel: "raymarch_sparse", buffers })
     }
 
     /// Copies nested fields to a device, finest first. They are drawn on [`nested_grid`].
@@ -114,7 +93,7 @@ impl MarchedField {
             (1, context.upload("nested fields", &samples)?),
             (5, context.upload("levels of nested fields", &records)?),
         ];
-        Ok(Self { context: context.clone(), kernel: "raymarch_nested", buffers, texture: None })
+        Ok(Self { context: context.clone(), kernel: "raymarch_nested", buffers })
     }
 }
 
@@ -165,42 +144,7 @@ fn whole(field: &DeviceField) -> Result<&wgpu::Buffer, DeviceError> {
             what: "a field that is to be drawn".into(),
             needed: field.bytes(),
             limit: field.context().max_binding(),
-            advice: "use filter=\"hardware\", or device=\"cpu\" for the picture",
+            advice: "use device=\"cpu\" for the picture",
         }),
     }
-}
-
-/// The field as a texture of half floats, in units of the smallest side of a voxel.
-fn texture(field: &DeviceField, grid: &Grid) -> Result<FilteredTexture, Error> {
-    let context = field.context();
-    let [width, height, depth] = grid.shape.map(|n| n as u32);
-    let texture = context.filtered_texture("a field's texture", [width, height, depth])?;
-    let row_bytes = row_bytes(width);
-    let plane_bytes = u64::from(row_bytes) * u64::from(height);
-    let planes_at_once = (TEXTURE_PIECE_BYTES.min(context.max_binding()) / plane_bytes).max(1) as u32;
-    let rows = context.storage("rows of a texture", plane_bytes * u64::from(planes_at_once.min(depth)))?;
-    let kernel = context.kernel("field_to_texture", "main")?;
-    for slab in field.slabs() {
-        for first_plane in (0..slab.planes as u32).step_by(planes_at_once as usize) {
-            let planes = planes_at_once.min(slab.planes as u32 - first_plane);
-            let words_per_row = row_bytes / 4;
-            let workgroups = (words_per_row * height * planes).div_ceil(64);
-            let across = workgroups.min(WORKGROUPS_PER_ROW);
-            let params = TextureParams {
-                width,
-                height,
-                first_plane,
-                planes,
-                words_per_row,
-                per_voxel: grid.spacing().min_element().recip() as f32,
-                workgroups_across: across,
-                ..TextureParams::default()
-            };
-            let uniform = context.uniform("texture parameters", &params)?;
-            let group = context.bind("texture", &kernel, &[(0, &uniform), (1, &slab.buffer), (2, &rows)])?;
-            context.dispatch("texture", &kernel, &group, [across, workgroups.div_ceil(across), 1])?;
-            context.copy_planes("texture", &rows, &texture, slab.first_plane as u32 + first_plane, planes)?;
-        }
-    }
-    Ok(texture)
 }

@@ -9,9 +9,8 @@ use crate::grid::Grid;
 use crate::march::bricks::MaskedBricks;
 use crate::march::marcher::{Marcher, clip_to_box};
 use crate::picture::camera::tests::look_at;
-use crate::picture::{Camera, Filter, Frame, RaymarchOptions, Shadows};
+use crate::picture::{Camera, Frame, RaymarchOptions, Shadows};
 use crate::progress::Progress;
-use crate::volume::device::DeviceField;
 use crate::volume::sparse::SparseField;
 use crate::volume::sparse::build::SparseOptions;
 use crate::volume::{FieldView, Texel, Trilinear};
@@ -94,28 +93,6 @@ fn pictures_agree_far_from_the_origin_and_from_afar() {
     assert_same_picture(&grid, &distances, center + DVec3::new(1e-3, 2e-3, 3e-3), 45.0, Shadows::Hard);
     let (grid, distances) = blob([32, 32, 32], 0.1, DVec3::ZERO, 1.0);
     assert_same_picture(&grid, &distances, DVec3::new(3e4, 4e4, 0.0), 0.003, Shadows::Hard);
-}
-
-#[test]
-fn a_field_in_slabs_is_drawn_by_the_texture_hardware() {
-    let Some(context) = test_context() else { return };
-    let (grid, distances) = blob([33, 20, 24], 0.1, DVec3::ZERO, 1.0);
-    let camera = Camera::from_pose(&look_at(DVec3::new(1.5, 2.0, 3.0), DVec3::ZERO), 45.0).unwrap();
-    let options = RaymarchOptions { size: [64, 48], filter: Filter::Hardware, ..RaymarchOptions::default() };
-    let draw = |max_bytes: u64| {
-        let field = DeviceField::allocate(&context, grid.shape, max_bytes).unwrap();
-        for slab in field.slabs() {
-            let plane = 33 * 20;
-            context
-                .fill("a slab", &slab.buffer, &distances[slab.first_plane * plane..][..slab.planes * plane])
-                .unwrap();
-        }
-        (field.slabs().len(), raymarch_on_device(&field, &grid, &camera, &options, &Progress::new()).unwrap())
-    };
-    let ((one, whole), (many, cut)) = (draw(u64::MAX), draw(33 * 20 * 4 * 8));
-    assert_eq!((one, many), (1, 3));
-    assert!(whole.object_id.contains(&0));
-    assert_eq!(whole, cut);
 }
 
 #[test]

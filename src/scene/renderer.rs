@@ -15,14 +15,14 @@ use super::device::device_raster;
 use super::last_picture::{LastPicture, LightInputs, SurfaceInputs};
 use super::lighting::{compose, evaluation};
 use super::visibility::primary;
-use crate::error::{DeviceError, Error, SceneError};
+use crate::error::{Error, SceneError};
 use crate::gpu::buffer::Counters;
 use crate::gpu::{Context, Place};
 use crate::memory::require_for;
 use crate::picture::{Camera, Frame};
 use crate::progress::Progress;
 use crate::scene::content::model::Scene;
-use crate::scene::content::options::{MAX_BOUNCES, MAX_LIGHTS, Primary, RenderOptions, SceneShadows};
+use crate::scene::content::options::{MAX_BOUNCES, MAX_LIGHTS, Primary, RenderOptions};
 use crate::scene::device::device_scene::DeviceScene;
 use crate::scene::light::bounces::Bounces;
 use crate::scene::light::far_field::Far;
@@ -79,10 +79,6 @@ impl Renderer {
         let [width, height] = options.size.map(u64::from);
         let what = format!("a picture of {width} x {height} pixels");
         require_for(&what, PIXEL_BYTES * width * height, 0, "draw fewer pixels")?;
-        if let (Place::Gpu(context), SceneShadows::Article) = (place, options.shadows) {
-            let reason = "the article's march runs on the CPU only; use device=\"cpu\"".to_owned();
-            return Err(DeviceError::NotAvailable { requested: context.label(), reason }.into());
-        }
         let far = options.far.as_ref().map(|far| Far::new(scene, far)).transpose()?;
         let surfaces = SurfaceInputs::new(place, scene, camera, options);
         let task = Task { scene, far: far.as_ref(), surfaces, options, progress };

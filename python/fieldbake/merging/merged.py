@@ -213,7 +213,6 @@ def merge_placed(
             checks.triple(bounds[0]),
             checks.triple(bounds[1]),
             shape,
-            method="bound",
             previous=previous,
             device=device,
             progress=callback,

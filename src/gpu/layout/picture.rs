@@ -17,18 +17,6 @@ gpu_structs! {
         scale_exponent: i32,
     }
 
-    /// `shaders/field/field_to_texture.wgsl`.
-    "field_to_texture": struct TextureParams {
-        width: u32,
-        height: u32,
-        first_plane: u32,
-        planes: u32,
-        words_per_row: u32,
-        per_voxel: f32,
-        workgroups_across: u32,
-        pad_0: u32,
-    }
-
     /// `shaders/shared/picture/picture_rays.wgsl`.
     "csg_draw": struct PictureRays {
         start: [f32; 3],

@@ -116,8 +116,6 @@ pub enum SceneShadows {
     Soft,
     /// This number of rays to each light: the reference for soft shadows.
     Area(u32),
-    /// The march of the article, with its constants in world units.
-    Article,
 }
 
 /// Number of bounces and of paths for each surface.

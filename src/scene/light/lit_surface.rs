@@ -220,7 +220,6 @@ impl<'a> LitSurface<'a> {
             SceneShadows::Hard => casters.ray_share(place, ray, work),
             SceneShadows::Soft => casters.disc_share(place, ray, slope, work),
             SceneShadows::Area(count) => casters.area_share(place, ray, slope, count, self.turn, work),
-            SceneShadows::Article => casters.scene.article_share(place, ray, work),
         }
     }
 

@@ -1,6 +1,5 @@
 //! Light at a point: rays and cones through the fields of a scene, occlusion, and indirect light.
 
-pub(crate) mod article;
 pub(crate) mod bounces;
 pub(crate) mod cone;
 pub(crate) mod emitters;

@@ -48,7 +48,7 @@ pub(crate) fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut Lig
     let lights = match pass.options.shadows {
         SceneShadows::None => 0,
         SceneShadows::Hard | SceneShadows::Soft => pass.lights.lights.len(),
-        SceneShadows::Area(_) | SceneShadows::Article => return Ok(false),
+        SceneShadows::Area(_) => return Ok(false),
     };
     let is_exact = eye.length() <= MOST_DISTANCE && !pass.buffer.view.camera.is_parallel();
     if lights == 0 || pass.options.occlusion.is_some() || !is_exact {
