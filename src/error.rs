@@ -29,6 +29,10 @@ pub enum MeshError {
     MovedNotFinite { vertex: usize, x: f64, y: f64, z: f64 },
     #[error("the mesh has {count} {what}, the limit is {limit}")]
     TooLarge { what: &'static str, count: usize, limit: usize },
+    #[error("points: the cloud is empty; a surface needs at least one point")]
+    NoPoints,
+    #[error("points: {distinct} distinct points are too few for areas, at least {least} are needed; give areas=")]
+    FewPoints { distinct: usize, least: usize },
 }
 
 /// An invalid option, named as in the Python interface.

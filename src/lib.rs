@@ -34,6 +34,7 @@ pub mod assembly;
 pub mod atlas;
 pub mod bake;
 mod bvh;
+pub mod cloud;
 pub mod csg;
 pub mod encoding;
 pub mod error;

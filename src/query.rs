@@ -14,6 +14,7 @@
 //!
 //! The order is cut into chunks of fixed size, so the result does not depend on the number of threads.
 
+mod clouds;
 mod device;
 mod device_rays;
 mod inside;
@@ -24,6 +25,7 @@ mod rays;
 mod surface;
 mod thickness;
 
+pub use clouds::{CloudQuery, cloud_contains, cloud_winding_numbers, query_cloud};
 pub use inside::{contains, derive_winding_tables, winding_numbers};
 pub use nearest::{ClosestPoints, Nearest, Query, Search, closest_points, query};
 pub use precise::{precise_signed_distances, refined};

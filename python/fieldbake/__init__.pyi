@@ -49,6 +49,8 @@ from .meshes.mesh import Mesh as Mesh
 from .meshes.normalization import Normalized as Normalized, normalize as normalize
 from .meshes.part import Part as Part
 from .meshes.section import Section as Section
+from .points.cloud import PointCloud as PointCloud, PointReport as PointReport
+from .points.files import load_points as load_points
 from .queries.edges import sample_edges as sample_edges
 from .queries.nearest import (
     ClosestPoints as ClosestPoints,

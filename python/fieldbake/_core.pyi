@@ -5,7 +5,7 @@ releases the GIL, stops on Ctrl-C and raises the exceptions of :mod:`fieldbake.b
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypedDict, final, type_check_only
+from typing import Any, Literal, TypedDict, final, type_check_only
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ __all__ = [
     "DevicePages",
     "Mesh",
     "OuterSides",
+    "PointCloud",
     "Quadrics",
     "Renderer",
     "Scene",
@@ -41,6 +42,7 @@ __all__ = [
     "bake",
     "bake_blocks",
     "bake_brute",
+    "bake_cloud_sparse",
     "bake_sparse",
     "bake_update",
     "bake_window",
@@ -57,6 +59,7 @@ __all__ = [
     "gradient",
     "merge",
     "occluded",
+    "orient",
     "query",
     "raymarch",
     "raymarch_nested",
@@ -335,6 +338,83 @@ class Shape:
         progress: Callable[[float], object] | None = None,
     ) -> dict[str, Any]:
         """A picture; the keys of :func:`raymarch`, and ``parts``, ``boxes``, ``leaf_evaluations``."""
+
+@final
+class PointCloud:
+    """Points with normals and areas, and the tree over their disks."""
+
+    def __new__(
+        cls,
+        points: NDArray[np.float64],
+        normals: NDArray[np.float64] | None = None,
+        areas: NDArray[np.float64] | None = None,
+        *,
+        progress: Callable[[float], object] | None = None,
+    ) -> PointCloud: ...
+    @property
+    def areas(self) -> NDArray[np.float64]: ...
+    def facts(self) -> tuple[int, int, float, float, bool]:
+        """Number of repeated points and of capped areas, the median and the 95th percentile of the spacing, and whether
+        the normals point inwards."""
+
+    @property
+    def nbytes(self) -> int: ...
+    def query(
+        self,
+        points: NDArray[np.float64],
+        *,
+        signed: bool,
+        progress: Callable[[float], object] | None = None,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], int, int]:
+        """Distances (n,), nearest points of the disks (n, 3), rows (n,), and the numbers of points inside and
+        undecided."""
+
+    def contains(
+        self, points: NDArray[np.float64], *, progress: Callable[[float], object] | None = None
+    ) -> NDArray[np.bool_]: ...
+    def winding_number(
+        self,
+        points: NDArray[np.float64],
+        *,
+        error: float,
+        progress: Callable[[float], object] | None = None,
+    ) -> NDArray[np.float64]:
+        """With an absolute error of at most ``error``."""
+
+    def bake(
+        self,
+        lower: tuple[float, float, float],
+        upper: tuple[float, float, float],
+        shape: tuple[int, int, int],
+        *,
+        signed: bool,
+        progress: Callable[[float], object] | None = None,
+    ) -> tuple[NDArray[np.float32], int, int]:
+        """Distances of a grid, and the numbers of samples inside and undecided."""
+
+def orient(
+    points: NDArray[np.float64],
+    lines: NDArray[np.float64] | None = None,
+    viewpoints: NDArray[np.float64] | None = None,
+    *,
+    neighbours: int,
+    progress: Callable[[float], object] | None = None,
+) -> tuple[NDArray[np.float64], Literal["viewpoints", "tree", "winding"]]:
+    """Unit normals (n, 3), and the method that chose their sides. A line of zeros is that of the neighbours."""
+
+def bake_cloud_sparse(
+    cloud: PointCloud,
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+    shape: tuple[int, int, int],
+    *,
+    signed: bool,
+    band: float,
+    tolerance: float | None = None,
+    encoding: str = "float32",
+    progress: Callable[[float], object] | None = None,
+) -> tuple[SparseField, int, int]:
+    """The bricks of a cloud near its disks, and the numbers of samples inside and undecided."""
 
 def signed_distance(
     mesh: Mesh,

@@ -7,6 +7,7 @@
 mod band;
 mod blocks;
 mod brute;
+mod cloud;
 mod cpu;
 mod dense;
 mod gpu;
@@ -20,6 +21,7 @@ mod window;
 
 pub use blocks::bake_blocks;
 pub use brute::bake_brute;
+pub use cloud::{CloudCounts, bake_cloud, bake_cloud_sparse};
 pub use report::{Report, sign_warnings};
 pub use sparse::bake_sparse;
 pub use update::{Before, update};

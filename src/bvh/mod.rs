@@ -12,6 +12,7 @@ pub(crate) mod binary;
 pub(crate) mod boxes;
 mod build;
 mod lanes;
+pub(crate) mod moments;
 pub(crate) mod nearest;
 pub(crate) mod pack;
 pub(crate) mod rays;
@@ -256,16 +257,25 @@ impl Bvh {
     }
 
     /// Visits packs near `p`, those of the nearest boxes first. `on_pack` receives a pack, its index and the squared
-    /// distances of its faces from `p`. It returns the largest squared distance of the boxes that are still searched,
-    /// which begins as `limit` and must be finite: the box of an absent child is infinitely far.
+    /// distances of its faces from `p`, and returns as for [`Bvh::visit_nearest_packs`].
     #[inline(always)]
-    fn visit_nearest(&self, p: Vec3, mut limit: f32, mut on_pack: impl FnMut(&Pack, usize, &[f32; WIDTH]) -> f32) {
+    fn visit_nearest(&self, p: Vec3, limit: f32, mut on_pack: impl FnMut(&Pack, usize, &[f32; WIDTH]) -> f32) {
+        self.visit_nearest_packs(p, limit, |index| {
+            let pack = &self.packs[index];
+            on_pack(pack, index, &pack.distances_squared(p))
+        });
+    }
+
+    /// Visits packs near `p`, those of the nearest boxes first. `on_pack` receives the index of a pack, and returns the
+    /// largest squared distance of the boxes that are still searched, which begins as `limit` and must be finite: the
+    /// box of an absent child is infinitely far.
+    #[inline(always)]
+    pub fn visit_nearest_packs(&self, p: Vec3, mut limit: f32, mut on_pack: impl FnMut(usize) -> f32) {
         let mut stack = Stack::new();
         let mut child = Self::ROOT;
         loop {
             if child.is_pack() {
-                let pack = &self.packs[child.index()];
-                limit = on_pack(pack, child.index(), &pack.distances_squared(p));
+                limit = on_pack(child.index());
             } else {
                 let node = &self.nodes[child.index()];
                 let found = node.distances_squared(p);

@@ -3,11 +3,11 @@
 use rustc_hash::FxHashSet;
 
 /// Union-find that also stores, for each element, whether it is flipped relative to its root.
-pub(super) struct DisjointSets {
+pub(crate) struct DisjointSets {
     parents: Vec<Parent>,
     size: Vec<u32>,
     /// Roots of sets that were joined to themselves with opposite orientation.
-    pub(super) conflicts: FxHashSet<u32>,
+    pub(crate) conflicts: FxHashSet<u32>,
 }
 
 /// The parent of an element, and in the lowest bit whether the element is flipped relative to it.
@@ -29,13 +29,13 @@ impl Parent {
 }
 
 impl DisjointSets {
-    pub(super) fn new(n: usize) -> Self {
+    pub(crate) fn new(n: usize) -> Self {
         let parents = (0..n as u32).map(|i| Parent::new(i, false)).collect();
         Self { parents, size: vec![1; n], conflicts: FxHashSet::default() }
     }
 
     /// The root of `x`, and whether `x` is flipped relative to it. Halves the path.
-    pub(super) fn root(&mut self, mut x: u32) -> (u32, bool) {
+    pub(crate) fn root(&mut self, mut x: u32) -> (u32, bool) {
         let mut turned = false;
         loop {
             let mut parent = self.parents[x as usize];
@@ -53,7 +53,7 @@ impl DisjointSets {
     }
 
     /// Joins two sets; `turned` tells whether `b` is flipped relative to `a`.
-    pub(super) fn join(&mut self, a: u32, b: u32, turned: bool) {
+    pub(crate) fn join(&mut self, a: u32, b: u32, turned: bool) {
         let ((root_a, turned_a), (root_b, turned_b)) = (self.root(a), self.root(b));
         let relative = turned_a ^ turned_b ^ turned;
         if root_a == root_b {

@@ -16,7 +16,7 @@
 //! finite are dropped and counted.
 
 pub(crate) mod derived;
-mod disjoint_sets;
+pub(crate) mod disjoint_sets;
 mod half_edges;
 #[cfg(test)]
 pub(crate) mod random;

@@ -8,6 +8,7 @@
 mod assembly;
 mod atlas;
 mod bake;
+mod cloud;
 mod convert;
 mod csg;
 mod device;
@@ -42,6 +43,8 @@ mod _core {
     #[pymodule_export]
     use super::bake::{bake, bake_blocks, bake_brute, bake_update, bake_window, sides_of_balls};
     #[pymodule_export]
+    use super::cloud::{PointCloud, orient};
+    #[pymodule_export]
     use super::csg::Shape;
     #[pymodule_export]
     use super::device::{DeviceField, devices};
@@ -69,7 +72,9 @@ mod _core {
     #[pymodule_export]
     use super::shader::shader_library;
     #[pymodule_export]
-    use super::sparse::{SparseField, bake_sparse, check_scales, decode, encode, encoding_scale, to_sparse};
+    use super::sparse::{
+        SparseField, bake_cloud_sparse, bake_sparse, check_scales, decode, encode, encoding_scale, to_sparse,
+    };
     #[pymodule_export]
     use super::surface::{Surface, SurfaceBlocks};
     #[pymodule_export]

@@ -1,11 +1,12 @@
 //! `fieldbake._core.SparseField`, `bake_sparse`, `to_sparse`, `encode` and `decode`.
 
 use super::bake::report_dict;
+use super::cloud::PointCloud;
 use super::convert::{Field, grid, points, row_array, volume_array, with_texels};
 use super::error::{Failure, exception};
 use super::mesh::Mesh;
 use super::run::run;
-use crate::bake::{BakeOptions, bake_sparse as bake};
+use crate::bake::{BakeOptions, bake_cloud_sparse as bake_cloud, bake_sparse as bake};
 use crate::encoding::Encoding;
 use crate::error::Error;
 use crate::gpu::Place;
@@ -269,6 +270,43 @@ pub(super) fn bake_sparse<'py>(
         }
     })?;
     Ok((SparseField(field), report_dict(py, &report)?))
+}
+
+/// A sparse field of a cloud, and the numbers of samples inside and undecided.
+#[pyfunction]
+#[pyo3(signature = (
+    cloud, lower, upper, shape, *, signed, band, tolerance=None, encoding="float32", progress=None
+))]
+pub(super) fn bake_cloud_sparse<'py>(
+    py: Python<'py>,
+    cloud: &PointCloud,
+    lower: [f64; 3],
+    upper: [f64; 3],
+    shape: [usize; 3],
+    signed: bool,
+    band: f64,
+    tolerance: Option<f64>,
+    encoding: &str,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<(SparseField, usize, usize)> {
+    let (cloud, grid) = (cloud.0.clone(), grid(lower, upper, shape)?);
+    let sparse = SparseOptions { band, tolerance };
+    let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
+    let (field, counts) = run(py, progress, |progress| {
+        macro_rules! baked {
+            ($texel:ty) => {{
+                let (field, counts) = bake_cloud::<$texel>(&cloud, &grid, signed, &sparse, progress)?;
+                Ok((Stored::any(field), counts))
+            }};
+        }
+        match encoding {
+            Encoding::Float32 => baked!(f32),
+            Encoding::Float16 => baked!(f16),
+            Encoding::Snorm16 => baked!(i16),
+            Encoding::Snorm8 => baked!(i8),
+        }
+    })?;
+    Ok((SparseField(field), counts.inside, counts.undecided))
 }
 
 /// The bricks of a dense field.

@@ -20,6 +20,7 @@
 //! into short pieces, and the moments are those of a tree over the pieces. A mesh that would have too many pieces keeps
 //! the tree over its faces, which is slower beside slivers and as accurate.
 
+use crate::bvh::moments::{Cluster, NodeMoments};
 use crate::bvh::{Bvh, ChildRef, MAX_STACK, WIDTH};
 use crate::geometry::{SolidAngles, triangle_cross};
 use crate::mesh::Mesh;
@@ -31,18 +32,6 @@ use std::f64::consts::PI;
 /// Ratio of distance to radius from which a part counts as a dipole. Barill et al. use 2 with one more order of
 /// moments.
 const BETA: f32 = 2.5;
-
-/// Moments of the eight children of a node, side by side.
-#[derive(Debug, Clone)]
-#[repr(C, align(32))]
-struct NodeMoments {
-    center: [[f32; WIDTH]; 3],
-    /// Squared distance from which the child counts as far.
-    far_squared: [f32; WIDTH],
-    area: [[f32; WIDTH]; 3],
-    /// Components xx, yy, zz, xy, yz, zx of the symmetric first moment; mixed terms are doubled.
-    first: [[f32; WIDTH]; 6],
-}
 
 /// Moments of every node of a mesh's tree, or of the tree over its pieces.
 #[derive(Debug)]
@@ -126,53 +115,23 @@ fn cut(triangle: [DVec3; 3], most: f64, pieces: &mut Vec<[DVec3; 3]>) {
     cut([middle, to, apex], most, pieces);
 }
 
-/// Moments of a set of faces about its centre.
-#[derive(Clone, Copy, Default)]
-struct FaceCluster {
-    weight: f64,
-    center: DVec3,
-    area: DVec3,
-    first: DMat3,
-}
-
-impl FaceCluster {
-    /// The cluster of triangles, each with the factor of its area vector.
-    fn of_triangles(triangles: impl Iterator<Item = ([DVec3; 3], f64)>) -> Self {
-        let members = triangles.map(|([a, b, c], turned)| {
-            let area = triangle_cross([a, b, c]) * 0.5;
-            // A piece may have no area. With a small weight the centre is defined.
-            let weight = area.length().max(f64::MIN_POSITIVE);
-            Self { weight, center: (a + b + c) / 3.0, area: area * turned, first: DMat3::ZERO }
-        });
-        Self::join(members.collect())
-    }
-
-    fn join(parts: Vec<Self>) -> Self {
-        let weight: f64 = parts.iter().map(|part| part.weight).sum();
-        let center = parts.iter().map(|part| part.center * part.weight).sum::<DVec3>() / weight;
-        let mut joined = Self { weight, center, ..Self::default() };
-        for part in parts {
-            let d = part.center - center;
-            joined.area += part.area;
-            // The outer product d N^T, by columns.
-            joined.first += part.first + DMat3::from_cols(d * part.area.x, d * part.area.y, d * part.area.z);
-        }
-        joined
-    }
+/// The cluster of triangles, each with the factor of its area vector.
+fn cluster_of(triangles: impl Iterator<Item = ([DVec3; 3], f64)>) -> Cluster {
+    let members = triangles.map(|([a, b, c], turned)| {
+        let area = triangle_cross([a, b, c]) * 0.5;
+        // A piece may have no area. With a small weight the centre is defined.
+        let weight = area.length().max(f64::MIN_POSITIVE);
+        Cluster { weight, center: (a + b + c) / 3.0, area: area * turned, first: DMat3::ZERO }
+    });
+    Cluster::join(&members.collect::<Vec<_>>())
 }
 
 impl Derived for Moments {
     fn derive(mesh: &Mesh) -> Self {
         let pieces = Pieces::of(mesh, MOST_PIECES);
         let bvh = tree(mesh, pieces.as_ref());
-        let empty = NodeMoments {
-            center: [[0.0; WIDTH]; 3],
-            far_squared: [0.0; WIDTH],
-            area: [[0.0; WIDTH]; 3],
-            first: [[0.0; WIDTH]; 6],
-        };
-        let mut nodes = vec![empty; bvh.nodes.len()];
-        let mut parts = vec![FaceCluster::default(); bvh.nodes.len()];
+        let mut nodes = vec![NodeMoments::EMPTY; bvh.nodes.len()];
+        let mut parts = vec![Cluster::default(); bvh.nodes.len()];
         // Children follow their parents in memory, so the loop runs backwards.
         for index in (0..nodes.len()).rev() {
             let node = &bvh.nodes[index];
@@ -181,7 +140,7 @@ impl Derived for Moments {
                 let child = node.children[lane];
                 let part = if child.is_pack() {
                     let members = bvh.packs[child.index()].faces();
-                    FaceCluster::of_triangles(members.iter().map(|&member| triangle(mesh, pieces.as_ref(), member)))
+                    cluster_of(members.iter().map(|&member| triangle(mesh, pieces.as_ref(), member)))
                 } else {
                     parts[child.index()]
                 };
@@ -189,10 +148,10 @@ impl Derived for Moments {
                     |of: &[[f32; WIDTH]; 3]| DVec3::from_array([0, 1, 2].map(|axis| f64::from(of[axis][lane])));
                 // The farthest corner of the box bounds the radius of the part.
                 let reach = (corner(&node.max) - part.center).abs().max((corner(&node.min) - part.center).abs());
-                nodes[index].set(lane, &part, reach.length());
+                nodes[index].set(lane, &part, BETA * reach.length() as f32);
                 children.push(part);
             }
-            parts[index] = FaceCluster::join(children);
+            parts[index] = Cluster::join(&children);
         }
         Self { nodes, pieces }
     }
@@ -255,12 +214,13 @@ impl Moments {
                 continue;
             }
             let node = &bvh.nodes[child.index()];
-            let (angles, far) = self.nodes[child.index()].far_angles(p_single);
+            let moments = &self.nodes[child.index()];
+            let (angles, squares) = moments.angles(p_single, Vec3::ZERO);
             for lane in 0..WIDTH {
                 if node.children[lane].is_none() {
                     continue;
                 }
-                if far[lane] {
+                if squares[lane] > moments.far_squared[lane] {
                     angle += f64::from(angles[lane]);
                 } else {
                     stack[top] = node.children[lane];
@@ -269,46 +229,6 @@ impl Moments {
             }
         }
         angle / (4.0 * PI)
-    }
-}
-
-impl NodeMoments {
-    fn set(&mut self, lane: usize, part: &FaceCluster, radius: f64) {
-        let c = &part.first;
-        let symmetric = [
-            c.x_axis.x,
-            c.y_axis.y,
-            c.z_axis.z,
-            c.x_axis.y + c.y_axis.x,
-            c.y_axis.z + c.z_axis.y,
-            c.z_axis.x + c.x_axis.z,
-        ];
-        for axis in 0..3 {
-            self.center[axis][lane] = part.center[axis] as f32;
-            self.area[axis][lane] = part.area[axis] as f32;
-        }
-        for (row, value) in self.first.iter_mut().zip(symmetric) {
-            row[lane] = value as f32;
-        }
-        self.far_squared[lane] = (BETA * radius as f32).powi(2);
-    }
-
-    /// Approximate solid angle of each child, and whether it is far enough for the approximation.
-    #[inline(always)]
-    fn far_angles(&self, p: Vec3) -> ([f32; WIDTH], [bool; WIDTH]) {
-        let mut angles = [0.0; WIDTH];
-        let mut far = [false; WIDTH];
-        for i in 0..WIDTH {
-            let (x, y, z) = (self.center[0][i] - p.x, self.center[1][i] - p.y, self.center[2][i] - p.z);
-            let squared = x * x + y * y + z * z;
-            let inverse = 1.0 / squared;
-            let dipole = self.area[0][i] * x + self.area[1][i] * y + self.area[2][i] * z;
-            let [xx, yy, zz, xy, yz, zx] = [0, 1, 2, 3, 4, 5].map(|k| self.first[k][i]);
-            let along = xx * x * x + yy * y * y + zz * z * z + xy * x * y + yz * y * z + zx * z * x;
-            angles[i] = (dipole + (xx + yy + zz) - 3.0 * along * inverse) * inverse * inverse.sqrt();
-            far[i] = squared > self.far_squared[i];
-        }
-        (angles, far)
     }
 }
 
@@ -331,10 +251,10 @@ mod tests {
     #[test]
     fn pieces_without_area_leave_the_moments_defined() {
         let flat = [DVec3::splat(0.25), DVec3::splat(0.25), DVec3::splat(0.25)];
-        let cluster = FaceCluster::of_triangles([(flat, 1.0), (flat, 1.0)].into_iter());
+        let cluster = cluster_of([(flat, 1.0), (flat, 1.0)].into_iter());
         assert!(cluster.center.distance(flat[0]) < 1e-12, "{}", cluster.center);
         let corners = [flat[0], flat[0] + DVec3::X, flat[0] + DVec3::Y];
-        let joined = FaceCluster::join(vec![cluster, FaceCluster::of_triangles([(corners, 1.0)].into_iter())]);
+        let joined = Cluster::join(&[cluster, cluster_of([(corners, 1.0)].into_iter())]);
         assert_eq!(joined.center, (corners[0] + corners[1] + corners[2]) / 3.0);
     }
 }

@@ -15,6 +15,7 @@ LAYERS = [
     "gpu",
     "mesh",
     "bvh",
+    "cloud",
     "sign",
     "volume",
     "surface",
@@ -36,7 +37,7 @@ LAYERS = [
 
 #: The order of the files and folders inside some folders, written as above.
 INNER = {
-    "bvh": ["binary boxes build lanes pack refit stack", "nearest rays"],
+    "bvh": ["binary boxes build lanes moments pack refit stack", "nearest rays"],
     "csg": ["tree", "model", "evaluation", "parts", "level_set text", "device"],
     "scene": ["fields", "content", "visibility", "light", "device", "lighting", "last_picture", "renderer"],
 }

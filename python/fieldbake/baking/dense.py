@@ -22,6 +22,9 @@ from ..base.report import Report
 from ..meshes.convert import MeshLike, as_mesh
 from ..meshes.isosurface import MeshSource, ShapeSource
 from ..meshes.mesh import Mesh
+from ..points.cloud import PointCloud
+from ..points.interop import as_cloud
+from ..queries.clouds import is_signed, report_of
 from ..queries.common import Sign, check_reach, choices
 from ..shapes.shape import Shape, all_shapes, combine
 from ..volumes.volume import Recipe, Volume
@@ -48,9 +51,10 @@ def bake(
 
     Parameters
     ----------
-    mesh : Mesh, path, trimesh.Trimesh, trimesh.Scene, (vertices, faces), Shape, or a list of meshes or of Shapes
+    mesh : Mesh, path, trimesh.Trimesh, trimesh.Scene, (vertices, faces), PointCloud, Shape, or a list
         A list of meshes is baked as one mesh; its items may be ``(mesh, transform)`` pairs. A list of shapes is baked
-        as their union. Pass the same `Mesh` to several calls to build its search tree only once.
+        as their union. A cloud needs normals, and takes neither `band`, `two_sided` nor a graphics device. Pass the
+        same `Mesh` to several calls to build its search tree only once.
     resolution : int or three ints, default 64
         One number: voxels along the longest side of the padded box. The voxels are cubic, and the other sides have
         whole voxels. Three numbers: voxels along x, y and z, which may be oblong.
@@ -121,6 +125,9 @@ def bake(
         unused = {"sign": (method, "auto"), "band": (band, None), "thickness": (thickness, None)}
         refuse_for_shapes(unused, two_sided)
         return bake_shape(mesh, resolution, voxel_size, bounds, margin, where, progress)
+    if (cloud := as_cloud(mesh)) is not None:
+        refuse_for_clouds({"band": band, "thickness": thickness}, two_sided)
+        return bake_cloud(cloud, resolution, voxel_size, bounds, margin, is_signed(cloud, method, where), progress)
     if band is not None:
         band = checks.number("band", band, above=0)
     job = prepare(mesh, resolution, voxel_size, bounds, margin, sign, two_sided, thickness)
@@ -267,6 +274,56 @@ def refuse_for_shapes(options: Mapping[str, tuple[Any, Any]], two_sided: bool) -
             raise ArgumentError(f"{name}: does not apply to a shape, whose field is signed and complete")
     if two_sided:
         raise ArgumentError("two_sided: does not apply to a shape; see Shape.shell")
+
+
+def refuse_for_clouds(options: Mapping[str, Any], two_sided: bool) -> None:
+    """Raise ArgumentError for an option of meshes that is given for a cloud: names with values."""
+    for name, value in {**options, "two_sided": two_sided or None}.items():
+        if value is not None:
+            raise ArgumentError(f"{name}: does not apply to a cloud of points")
+
+
+def grid_around(
+    cloud: PointCloud,
+    resolution: Resolution,
+    voxel_size: float | None,
+    bounds: ArrayLike | None,
+    margin: float,
+    default: int = DEFAULT_RESOLUTION,
+) -> Grid:
+    """The grid around the points of a cloud."""
+    box = {"voxel_size": voxel_size, "bounds": bounds, "margin": margin, "default": default}
+    return check_count(make_grid(cloud.bounds, resolution, **box))  # type: ignore[arg-type]
+
+
+def bake_cloud(
+    cloud: PointCloud,
+    resolution: Resolution,
+    voxel_size: float | None,
+    bounds: ArrayLike | None,
+    margin: float,
+    signed: bool,
+    progress: Progress,
+) -> Volume:
+    """Bake a cloud of points."""
+    grid = grid_around(cloud, resolution, voxel_size, bounds, margin)
+    start = perf_counter()
+    with progress_callback(progress, "bake") as callback:
+        distances, inside, undecided = cloud._core.bake(
+            grid.lower, grid.upper, grid.shape, signed=signed, progress=callback
+        )
+    report = report_of(
+        cloud,
+        signed,
+        undecided,
+        distances.size,
+        start,
+        inside_voxels=inside,
+        undecided_voxels=undecided,
+        peak_bytes=distances.nbytes + cloud._core.nbytes,
+    )
+    log_warnings(report)
+    return Volume._wrap(distances, np.array([grid.lower, grid.upper]), np.array(cloud.bounds), report)
 
 
 def bake_shape(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,10 +16,12 @@ from ..base.grid import Resolution
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
 from ..meshes.convert import MeshLike
+from ..points.interop import as_cloud
+from ..queries.clouds import is_signed, report_of
 from ..queries.common import Sign
 from ..shapes.shape import Shape, all_shapes
 from ..volumes.sparse import SparseVolume, sparse_options
-from .dense import bake_shape, log_warnings, prepare, refuse_devices, refuse_for_shapes
+from .dense import bake_shape, grid_around, log_warnings, prepare, refuse_devices, refuse_for_clouds, refuse_for_shapes
 
 #: Voxels along the longest side, unless the caller chooses.
 SPARSE_RESOLUTION = 512
@@ -93,6 +97,19 @@ def bake_sparse(
         refuse_for_shapes(unused, checks.flag("two_sided", two_sided))
         dense = bake_shape(mesh, resolution, voxel_size, bounds, margin, "cpu", progress, default=SPARSE_RESOLUTION)
         return dense.to_sparse(tolerance=tolerance, band=band, encoding=encoding)
+    if (cloud := as_cloud(mesh)) is not None:
+        refuse_for_clouds({"thickness": thickness}, checks.flag("two_sided", two_sided))
+        signed = is_signed(cloud, checks.text("sign", sign))
+        grid = grid_around(cloud, resolution, voxel_size, bounds, margin, SPARSE_RESOLUTION)
+        start = perf_counter()
+        with progress_callback(progress, "bake") as callback:
+            field, inside, undecided = _core.bake_cloud_sparse(
+                cloud._core, grid.lower, grid.upper, grid.shape, signed=signed, progress=callback, **options
+            )
+        counts = {"inside_voxels": inside, "undecided_voxels": undecided}
+        report = report_of(cloud, signed, undecided, math.prod(grid.shape), start, **counts)
+        log_warnings(report)
+        return SparseVolume._wrap(field, np.array([grid.lower, grid.upper]), np.array(cloud.bounds), report, None)
     job = prepare(mesh, resolution, voxel_size, bounds, margin, sign, two_sided, thickness, default=SPARSE_RESOLUTION)
     with progress_callback(progress, "bake") as callback:
         field, facts = _core.bake_sparse(

@@ -72,8 +72,9 @@ class Report(Rows):
         the ledger of training samples the first is the number of such points.
     chord_error : float
         Largest distance between the mesh and the solid that it was tessellated from, world units; 0 for other meshes.
-    points, inside_points : int
-        Number of points of a query, and of those with a negative distance. Both are 0 for a bake.
+    points, inside_points, undecided_points : int
+        Number of points of a query, of those with a negative distance, and of those whose side is a guess across a hole
+        of a cloud of points. All are 0 for a bake, and the last one for a mesh.
     device : str
         Device that evaluated the distances.
     seconds : mapping of str to float
@@ -112,6 +113,7 @@ class Report(Rows):
     chord_error: float = 0.0
     points: int = 0
     inside_points: int = 0
+    undecided_points: int = 0
     device: str = ""
     seconds: Mapping[str, float] = field(default_factory=dict)
     peak_bytes: int = 0
@@ -163,6 +165,8 @@ class Report(Rows):
             inside += f"; the sign of {count_text(self.undecided_voxels, 'voxel')} is uncertain"
         if self.points:
             inside = f"{self.inside_points:,} of {count_text(self.points, 'point')}"
+            if self.undecided_points:
+                inside += f"; the sign of {count_text(self.undecided_points, 'point')} is uncertain"
         # The report of a Zarr store is written before its shards are baked: it has no stages, and nothing is counted.
         stages = ", ".join(f"{stage} {seconds_text(seconds)}" for stage, seconds in self.seconds.items())
         if stages:

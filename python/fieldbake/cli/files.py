@@ -13,6 +13,8 @@ import fieldbake as fb
 from ..atlases.atlas import as_written
 from ..files import sidecar
 from ..files.registry import ENDINGS, WITH_SIDECAR
+from ..meshes.convert import HEAD_BYTES
+from ..points.files import READERS
 from .application import app, show_rows
 from .commands import MESHES
 from .saving import Encoding, Engine, check_encoding, save_field
@@ -34,7 +36,9 @@ Mipmaps = Annotated[bool, typer.Option("--mipmaps", help="Add coarser levels to 
 
 @app.command()
 def info(
-    files: Annotated[list[Path], typer.Argument(help="Files written by fieldbake, grids, or meshes.", metavar="FILE")],
+    files: Annotated[
+        list[Path], typer.Argument(help="Files written by fieldbake, grids, meshes or points.", metavar="FILE")
+    ],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per file.")] = False,
     kind: Annotated[str | None, typer.Option("--from", help="Format of the file if FILE is -, such as npz.")] = None,
 ) -> None:
@@ -42,7 +46,7 @@ def info(
     # A glob such as a.* also names the files that a save wrote beside a field.
     for path in dict.fromkeys(map(_field_of, files)):
         with input_file(path, kind) as file:
-            found = _load(file)
+            found = fb.load_points(file, opacity=0) if _holds_points(file) else _load(file)
             if as_json:
                 typer.echo(json.dumps({"file": str(path), **facts_of(found)}))
             else:
@@ -110,6 +114,16 @@ def _field_of(path: Path) -> Path:
     elif path.name.endswith(".preview.png"):
         owner = path.with_name(path.name.removesuffix(".preview.png") + ".png")
     return owner if owner.suffix.lower() in WITH_SIDECAR and sidecar.beside(owner).is_file() else path
+
+
+def _holds_points(path: Path) -> bool:
+    """Whether a file can hold a cloud of points only: by its ending, or a PLY file by the elements of its header."""
+    ending = path.suffix.lower()
+    if ending != ".ply":
+        return ending in READERS and ending != ".npz"
+    with path.open("rb") as stream:
+        header = stream.read(HEAD_BYTES).partition(b"end_header")[0]
+    return b"element vertex" in header and b"element face" not in header and b"element tristrips" not in header
 
 
 def _load(path: Path) -> Any:

@@ -82,6 +82,8 @@ def rows_of(found: Any, ending: str) -> list[tuple[str, str]]:
         return mesh_rows(found)
     if isinstance(found, (fb.Volume, fb.SparseVolume)):
         return volume_rows(found)
+    if isinstance(found, fb.PointCloud):
+        return [("box", box_text(found.bounds)), *found.report.rows()]
     return [("holds", repr(found))]
 
 
@@ -91,6 +93,10 @@ def facts_of(found: Any) -> dict[str, Any]:
     if isinstance(found, fb.Mesh):
         facts |= {"vertices": len(found.vertices), "faces": len(found.faces), "bounds": found.bounds.tolist()}
         return facts | found.topology()
+    if isinstance(found, fb.PointCloud):
+        names = ("points", "duplicates", "spacing", "spacing_95", "normals", "inside_out", "area", "outliers")
+        facts |= {name: getattr(found.report, name) for name in (*names, "low_opacity", "round_splats")}
+        return facts | {"bounds": found.bounds.tolist()}
     if isinstance(found, fb.Atlas):
         facts |= {"pages": len(found.pages), "page_size": found.page_size, "layout": found.layout}
         facts |= {"encoding": found.encoding, "gutter": found.gutter, "nbytes": found.nbytes, "fill": float(found.fill)}

@@ -23,7 +23,7 @@ from ..base.errors import MeshError
 from ..base.former_names import former_names
 from .gltf_materials import Document
 from .input_arrays import check_colors, check_faces, check_uv, check_vertices
-from .interop import triangles_of
+from .interop import is_cloud, triangles_of
 from .mesh import Mesh
 from .part import ALPHA_MODES, Part
 from .ply_strips import with_strips
@@ -212,6 +212,8 @@ def _pieces(geometry: MeshLike, name: str) -> list[_Piece]:
         faces = geometry.faces.astype(np.int64)
         looks = (geometry.uv, list(geometry.parts), geometry.chord_error, geometry.vertex_colors, geometry.face_colors)
         return [_Piece(geometry.vertices, faces, *looks)]
+    if is_cloud(geometry):
+        raise MeshError(f"{name}: is a cloud of points, which has no triangles; use fb.solid(cloud) first")
     if hasattr(geometry, "graph") and hasattr(geometry, "geometry"):
         return _from_scene(geometry, name)
     if hasattr(geometry, "vertices") and hasattr(geometry, "faces") and not callable(geometry.vertices):
@@ -243,7 +245,8 @@ def is_arrays(pair: Sequence[Any]) -> bool:
         inner = half
         while isinstance(inner, (tuple, list)) and len(inner) > 0:
             inner = inner[0]
-        if isinstance(inner, (str, os.PathLike, Mesh)) or hasattr(inner, "faces") or hasattr(inner, "graph"):
+        is_path_or_mesh = isinstance(inner, (str, os.PathLike, Mesh)) or hasattr(inner, "faces")
+        if is_path_or_mesh or hasattr(inner, "graph") or is_cloud(inner):
             return False
     # If the first half is a pair of tables, it is a mesh itself, beside a transform or another mesh.
     first = pair[0]
@@ -375,7 +378,8 @@ def _from_scene(scene: Any, name: str, document: Document | None = None) -> list
             others.append(type(geometry).__name__)
     if not pieces:
         found = f"found only {', '.join(sorted(set(others)))}" if others else "it is empty, or all nodes have scale 0"
-        raise MeshError(f"{name}: has no triangles ({found})")
+        hint = "; read points by fb.load_points" if "PointCloud" in others else ""
+        raise MeshError(f"{name}: has no triangles ({found}){hint}")
     return pieces
 
 

@@ -24,13 +24,26 @@ class Triangles(NamedTuple):
     chord_error: float = 0.0
 
 
+def is_cloud(geometry: Any) -> bool:
+    """Whether an object is a cloud of points of Open3D, trimesh or PyVista, or of this package."""
+    if hasattr(geometry, "point_data") and hasattr(geometry, "n_faces_strict") and hasattr(geometry, "points"):
+        return bool(geometry.n_faces_strict == 0 and geometry.n_strips == 0)
+    if hasattr(geometry, "point") and hasattr(geometry.point, "positions"):
+        # Open3D's tensor cloud; its meshes have `vertex` and `triangle`.
+        return not hasattr(geometry, "triangle") and not hasattr(geometry, "line")
+    if hasattr(geometry, "has_normals") and hasattr(geometry, "points"):
+        return not hasattr(geometry, "triangles") and not hasattr(geometry, "lines")
+    is_trimesh = hasattr(geometry, "kdtree") and hasattr(geometry, "vertices") and not hasattr(geometry, "faces")
+    return is_trimesh or (hasattr(geometry, "has_sides") and hasattr(geometry, "areas"))
+
+
 def triangles_of(geometry: Any) -> Triangles | None:
     """Read the triangles of an object of one of the libraries; None for any other object."""
     if hasattr(geometry, "triangulate") and hasattr(geometry, "points") and hasattr(geometry, "regular_faces"):
         return _of_pyvista(geometry)
     if hasattr(geometry, "vertex") and hasattr(geometry, "triangle") and hasattr(geometry.vertex, "positions"):
         # Open3D's tensor mesh.
-        return Triangles(_host(geometry.vertex.positions), _host(geometry.triangle.indices))
+        return Triangles(host(geometry.vertex.positions), host(geometry.triangle.indices))
     if hasattr(geometry, "vertices") and hasattr(geometry, "triangles") and not callable(geometry.vertices):
         # Open3D's legacy mesh.
         return Triangles(np.asarray(geometry.vertices), np.asarray(geometry.triangles))
@@ -109,6 +122,6 @@ def _coordinates(vertex: Any) -> Any:
     return values
 
 
-def _host(tensor: Any) -> NDArray[Any]:
+def host(tensor: Any) -> NDArray[Any]:
     """Convert a tensor of Open3D to an array."""
     return np.asarray(tensor.cpu().numpy() if hasattr(tensor, "cpu") else tensor)

@@ -16,7 +16,12 @@ from ..base.notices import warn_surface
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
 from ..meshes.convert import MeshLike
+from ..points.interop import as_cloud
+from .clouds import WINDING_ERROR, is_signed, query_cloud, require_sides
 from .common import Sign, checked_points, choices, shaped, source_faces, warn_of_signs
+
+#: Largest error of the winding number of a mesh, unless the caller chooses.
+MESH_WINDING_ERROR = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +37,12 @@ class ClosestPoints:
     distances : (...) float64
         Unsigned distances, world units.
     faces : (...) int64
-        Faces that contain the points: rows of `Mesh.faces` for a Mesh, rows of the faces as passed or read for anything
-        else.
+        Faces that contain the points: rows of `Mesh.faces` for a Mesh, rows of the points for a cloud, rows of the
+        faces as passed or read for anything else.
     barycentric : (..., 3) float64
-        Weights of the face's corners, from 0 to 1; their sum is 1.
+        Weights of the face's corners, from 0 to 1; their sum is 1. (1, 0, 0) for a cloud.
     normals : (..., 3) float64
-        Unit normals of the faces, by their own winding.
+        Unit normals of the faces, by their own winding; those of the points for a cloud, zeros if it has none.
 
     Examples
     --------
@@ -99,8 +104,8 @@ def closest_point(
 
     Parameters
     ----------
-    mesh : Mesh or anything :func:`bake` takes
-        Pass the same `Mesh` to several calls: its search tree is built once.
+    mesh : Mesh, PointCloud, or anything :func:`bake` takes
+        Pass the same `Mesh` or `PointCloud` to several calls: its search tree is built once.
     points : (..., 3) real
         World positions.
     device : str, default "auto"
@@ -134,8 +139,15 @@ def closest_point(
     >>> closest.barycentric.tolist(), closest.normals.tolist()
     ([[0.5, 0.25, 0.25]], [[0.0, 0.0, 1.0]])
     """
-    checked, flat, shape = checked_points(mesh, points)
     where = checks.text("device", device)
+    if (cloud := as_cloud(mesh)) is not None:
+        is_signed(cloud, "unsigned", where)
+        flat, shape = checks.points(points)
+        with progress_callback(progress, "closest point") as callback:
+            distances, nearest, faces, *_ = cloud._core.query(flat, signed=False, progress=callback)
+        normals = cloud._normals_of(faces)
+        return ClosestPoints(*shaped(shape, nearest, distances, faces, _first_weights(len(flat)), normals))
+    checked, flat, shape = checked_points(mesh, points)
     with progress_callback(progress, "closest point") as callback:
         nearest, distances, faces, weights, normals = _core.closest_point(
             checked._core, flat, device=where, progress=callback
@@ -156,10 +168,10 @@ def query(
 
     Parameters
     ----------
-    mesh : Mesh, Scene or anything :func:`bake` takes
-        Pass the same `Mesh` to several calls: its search tree is built once. The distance of a scene is the smallest
-        one over its instances, which are meshes and shapes under rotations, translations, reflections and uniform
-        scales. A shape that is not exact counts as its closed mesh.
+    mesh : Mesh, PointCloud, Scene or anything :func:`bake` takes
+        Pass the same `Mesh` or `PointCloud` to several calls: its search tree is built once. The distance of a scene
+        is the smallest one over its instances, which are meshes and shapes under rotations, translations, reflections
+        and uniform scales. A shape that is not exact counts as its closed mesh.
     points : (..., 3) real
         World positions.
     sign, progress
@@ -210,6 +222,15 @@ def query(
     if isinstance(mesh, Queryable):
         return mesh._query(points, sign=sign, device=device, progress=progress)
     method, where = choices(sign, device)
+    if (cloud := as_cloud(mesh)) is not None:
+        flat, shape = checks.points(points)
+        distances, gradients, nearest, faces, report = query_cloud(
+            cloud, flat, is_signed(cloud, method, where), progress
+        )
+        warn_surface(report.warnings)
+        weights = _first_weights(len(flat))
+        distances, gradients, nearest, faces, weights = shaped(shape, distances, gradients, nearest, faces, weights)
+        return Query(distances, gradients, nearest, faces, weights, report)
     checked, flat, shape = checked_points(mesh, points)
     with progress_callback(progress, "query") as callback:
         distances, gradients, nearest, faces, weights, facts = _core.query(
@@ -259,8 +280,9 @@ def signed_distance(
 
     Parameters
     ----------
-    mesh : Mesh, Scene or anything :func:`bake` takes
-        Pass the same `Mesh` to several calls: its search tree is built once. A scene is evaluated as by :func:`query`.
+    mesh : Mesh, PointCloud, Scene or anything :func:`bake` takes
+        Pass the same `Mesh` or `PointCloud` to several calls: its search tree is built once. A scene is evaluated as
+        by :func:`query`.
     points : (..., 3) real
         World positions.
     sign, progress
@@ -298,6 +320,11 @@ def signed_distance(
         return mesh._query(points, sign=sign, device=device, progress=progress).distances.astype(np.float32)
     method, where = choices(sign, device)
     is_double = checks.choice("dtype", dtype, get_args(DistanceType)) == "float64"
+    if (cloud := as_cloud(mesh)) is not None:
+        flat, shape = checks.points(points)
+        distances, *_, report = query_cloud(cloud, flat, is_signed(cloud, method, where), progress)
+        warn_surface(report.warnings)
+        return (distances if is_double else distances.astype(np.float32)).reshape(shape)
     checked, flat, shape = checked_points(mesh, points)
     evaluate = _core.signed_distance_float64 if is_double else _core.signed_distance
     with progress_callback(progress, "signed distance") as callback:
@@ -312,8 +339,8 @@ def contains(mesh: MeshLike, points: ArrayLike, *, sign: Sign = "auto", progress
 
     Parameters
     ----------
-    mesh : Mesh or anything :func:`bake` takes
-        Pass the same `Mesh` to several calls: its search tree is built once.
+    mesh : Mesh, PointCloud, or anything :func:`bake` takes
+        Pass the same `Mesh` or `PointCloud` to several calls: its search tree is built once.
     points : (..., 3) real
         World positions.
     sign, progress
@@ -344,6 +371,14 @@ def contains(mesh: MeshLike, points: ArrayLike, *, sign: Sign = "auto", progress
     [False, True]
     """
     method = checks.text("sign", sign)
+    if (cloud := as_cloud(mesh)) is not None:
+        flat, shape = checks.points(points)
+        if not is_signed(cloud, method):
+            return np.zeros(shape, np.bool_)
+        with progress_callback(progress, "contains") as callback:
+            inside = cloud._core.contains(flat, progress=callback)
+        warn_surface(cloud.report.warnings)
+        return inside.reshape(shape)
     checked, flat, shape = checked_points(mesh, points)
     with progress_callback(progress, "contains") as callback:
         inside = _core.contains(checked._core, flat, sign=method, progress=callback)
@@ -352,18 +387,19 @@ def contains(mesh: MeshLike, points: ArrayLike, *, sign: Sign = "auto", progress
 
 
 def winding_number(
-    mesh: MeshLike, points: ArrayLike, *, error: float = 1e-6, progress: Progress = None
+    mesh: MeshLike, points: ArrayLike, *, error: float | None = None, progress: Progress = None
 ) -> NDArray[np.float64]:
     """Evaluate the signed generalised winding number of the faces as they are wound.
 
     Parameters
     ----------
-    mesh : Mesh or anything :func:`bake` takes
-        Pass the same `Mesh` to several calls: its search tree is built once.
+    mesh : Mesh, PointCloud, or anything :func:`bake` takes
+        Pass the same `Mesh` or `PointCloud` to several calls: its search tree is built once.
     points : (..., 3) real
         World positions.
-    error : float, default 1e-6
-        Largest absolute error, if it is below 0.01. From 0.01 on, surfaces with many openings are evaluated faster, by
+    error : float, optional
+        Largest absolute error; the default is 1e-6 for meshes and 1e-3 for clouds of points. For clouds it is a proven
+        bound. For meshes it is one below 0.01. From 0.01 on, meshes with many openings are evaluated faster, by
         dipoles. Their error has no bound: it is mostly below 0.01, but 0.1 was measured close to a large smooth sheet.
     progress : bool or callable, optional
         True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
@@ -394,8 +430,21 @@ def winding_number(
     >>> winding_number(inside_out, [(0, 0, -2), (0.25, 0.25, 0.125)]).tolist()
     [0.0, -1.0]
     """
-    error = checks.number("error", error, above=0)
+    largest = None if error is None else checks.number("error", error, above=0)
+    if (cloud := as_cloud(mesh)) is not None:
+        require_sides(cloud)
+        flat, shape = checks.points(points)
+        with progress_callback(progress, "winding number") as callback:
+            found = cloud._core.winding_number(flat, error=largest or WINDING_ERROR, progress=callback)
+        return found.reshape(shape)
     checked, flat, shape = checked_points(mesh, points)
     with progress_callback(progress, "winding number") as callback:
-        found = _core.winding_number(checked._core, flat, error=error, progress=callback)
+        found = _core.winding_number(checked._core, flat, error=largest or MESH_WINDING_ERROR, progress=callback)
     return found.reshape(shape)
+
+
+def _first_weights(count: int) -> NDArray[np.float64]:
+    """Barycentric coordinates of the points of a cloud: all weight is on the first."""
+    weights = np.zeros((count, 3))
+    weights[:, 0] = 1.0
+    return weights

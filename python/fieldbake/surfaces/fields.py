@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..meshes.mesh import Mesh
+from ..points.cloud import PointCloud
+from ..queries.clouds import gradients_of
 from ..volumes.level_set_blocks import SIDE, Blocks
 
 Array = NDArray[np.float64]
@@ -74,6 +76,31 @@ class MeshField:
     def distances(self, points: Array) -> Array:
         """Unsigned distances (n,)."""
         return _core.closest_point(self.mesh._core, np.ascontiguousarray(points))[1]
+
+
+@dataclass(frozen=True)
+class CloudField:
+    """The signed distance of a cloud of points."""
+
+    cloud: PointCloud
+
+    def values(self, points: Array) -> Array:
+        """Distances at points (n, 3), (n,)."""
+        return self.cloud._core.query(np.ascontiguousarray(points), signed=True)[0]
+
+    def samples(self, blocks: Blocks) -> Array:
+        """Distances at the samples of k blocks, (k, n)."""
+        return self.values(blocks.points).reshape(len(blocks.origins), -1)
+
+    def tangents(self, points: Array) -> tuple[Array, Array]:
+        """Distances (n,) and unit gradients (n, 3)."""
+        points = np.ascontiguousarray(points)
+        distances, nearest, rows, *_ = self.cloud._core.query(points, signed=True)
+        return distances, gradients_of(self.cloud, points, distances, nearest, rows)
+
+    def distances(self, points: Array) -> Array:
+        """Unsigned distances from the disks (n,)."""
+        return self.cloud._core.query(np.ascontiguousarray(points), signed=False)[0]
 
 
 @dataclass(frozen=True)

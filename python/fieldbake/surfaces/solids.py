@@ -19,9 +19,12 @@ from ..base.report import count_text
 from ..meshes.convert import MeshLike, as_mesh
 from ..meshes.isosurface import MeshSource, Source, extract
 from ..meshes.mesh import Mesh
+from ..points.cloud import PointCloud
+from ..points.interop import as_cloud
+from ..queries.clouds import require_sides
 from ..volumes.level_set_blocks import level_set
 from .deviation import from_ideal, to_ideal
-from .fields import Field, Intersection, MeshField, OuterField, Shifted, TangentSource, Wall, complement
+from .fields import CloudField, Field, Intersection, MeshField, OuterField, Shifted, TangentSource, Wall, complement
 from .report import SolidReport
 from .simplification import check_tolerance, simplified
 
@@ -53,8 +56,9 @@ def solid(
 
     Parameters
     ----------
-    mesh : Mesh or anything that `as_mesh` takes
-        Triangles that may be open, doubled, intersecting or wound both ways.
+    mesh : Mesh, PointCloud, or anything that `as_mesh` takes
+        Triangles that may be open, doubled, intersecting or wound both ways; or points with normals, with
+        ``fill="winding"`` and without `seal`.
     resolution : int or three ints, default 256
         Voxels along the longest side of the box, or along x, y and z. Parts thinner than a voxel may be lost.
     fill : "winding" or "outer", default "winding"
@@ -95,6 +99,10 @@ def solid(
     >>> knot.is_closed, knot.report.genus
     (True, 1)
     """
+    if (cloud := as_cloud(mesh)) is not None:
+        if fill != "winding" or seal != 0:
+            raise ArgumentError(f"{'seal' if seal != 0 else 'fill'}: does not apply to a cloud of points")
+        return _solid_of_cloud(cloud, resolution, check_tolerance(simplify), progress)
     source = as_mesh(mesh)
     _word("fill", fill, ("winding", "outer"))
     diameter = _number("seal", seal, least=0)
@@ -124,6 +132,26 @@ def solid(
             f"mesh: {nothing}",
             lambda made: made._core.deviation(source._core)[0],
             lambda made: source._core.deviation(made._core)[0],
+            tolerance=tolerance,
+        )
+
+
+def _solid_of_cloud(cloud: PointCloud, resolution: Resolution, tolerance: float, progress: Progress) -> Mesh:
+    """The solid that the points of a cloud enclose. Crossings are interpolated between signed distances."""
+    require_sides(cloud)
+    grid, field = _grid(cloud.bounds, resolution), CloudField(cloud)
+    nothing = "mesh: the cloud encloses no voxel centre. Raise the resolution, or check its normals"
+    warn_surface(cloud.report.warnings)
+    with watched(progress, "solid"):
+        with part(0.0, 0.6):
+            surface = level_set(field.values, grid, 0.0, samples=field.samples)
+        return _extracted(
+            surface,
+            None,
+            grid,
+            nothing,
+            lambda made: to_ideal(made, field, grid),
+            lambda made: float(_core.closest_point(made._core, np.array(cloud.points))[1].max()),
             tolerance=tolerance,
         )
 
@@ -360,7 +388,7 @@ def boolean(
 
 def _extracted(
     surface: _core.Surface,
-    source: Source,
+    source: Source | None,
     grid: Grid,
     nothing: str,
     to_source: Callable[[Mesh], float],

@@ -1,0 +1,1 @@
+"""Clouds of points: their areas, normals and files."""
