@@ -94,12 +94,16 @@ impl NodeMoments {
     pub(crate) fn angles(&self, p: Vec3, rest: Vec3) -> ([f32; WIDTH], [f32; WIDTH]) {
         let mut angles = [0.0; WIDTH];
         let mut squares = [0.0; WIDTH];
+        let ([px, py, pz], [rx, ry, rz]) = (p.to_array(), rest.to_array());
+        // Rows in place of a closure for each lane, which the compiler would call lane by lane.
+        let ([cx, cy, cz], [ax, ay, az]) = (&self.center, &self.area);
+        let [cxx, cyy, czz, cxy, cyz, czx] = &self.first;
         for i in 0..WIDTH {
-            let [x, y, z] = [0, 1, 2].map(|axis| (self.center[axis][i] - p[axis]) - rest[axis]);
+            let (x, y, z) = ((cx[i] - px) - rx, (cy[i] - py) - ry, (cz[i] - pz) - rz);
             let squared = x * x + y * y + z * z;
             let inverse = 1.0 / squared;
-            let dipole = self.area[0][i] * x + self.area[1][i] * y + self.area[2][i] * z;
-            let [xx, yy, zz, xy, yz, zx] = [0, 1, 2, 3, 4, 5].map(|k| self.first[k][i]);
+            let dipole = ax[i] * x + ay[i] * y + az[i] * z;
+            let (xx, yy, zz, xy, yz, zx) = (cxx[i], cyy[i], czz[i], cxy[i], cyz[i], czx[i]);
             let along = xx * x * x + yy * y * y + zz * z * z + xy * x * y + yz * y * z + zx * z * x;
             angles[i] = (dipole + (xx + yy + zz) - 3.0 * along * inverse) * inverse * inverse.sqrt();
             squares[i] = squared;

@@ -77,12 +77,14 @@ struct Disks {
 }
 
 impl Disks {
+    #[inline(always)]
     fn center(&self, lane: usize) -> DVec3 {
-        DVec3::from_array([0, 1, 2].map(|axis| self.center[axis][lane]))
+        DVec3::new(self.center[0][lane], self.center[1][lane], self.center[2][lane])
     }
 
+    #[inline(always)]
     fn normal(&self, lane: usize) -> DVec3 {
-        DVec3::from_array([0, 1, 2].map(|axis| self.normal[axis][lane]))
+        DVec3::new(self.normal[0][lane], self.normal[1][lane], self.normal[2][lane])
     }
 }
 

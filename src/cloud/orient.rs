@@ -1,8 +1,9 @@
 //! Normals of points without sides: their lines, and the sides of the lines.
 //!
 //! The line of a point is the axis of least variance of its neighbours. Viewpoints give the sides exactly. Without them
-//! there are three candidates, of which the one with the least *score* is kept: the mean of min(|w|, |1 - w|) before
-//! and behind each point, which is small if the winding number w is near 0 and 1 there.
+//! there are three candidates, of which the one with the least *score* is kept: the mean of |w- - w+ - 1|, where w- and
+//! w+ are the winding numbers behind each point and in front of it. The winding number falls by 1 from behind a surface
+//! to its front, also inside another body, where it falls from 2 to 1.
 //!
 //! 1. The spanning tree of 1 - |n_i.n_j| over the nearest neighbours (Hoppe, DeRose, Duchamp, McDonald, Stuetzle,
 //!    *Surface reconstruction from unorganized points*, 1992), whose connected components are turned outward.
@@ -245,7 +246,7 @@ fn by_winding(
     Ok(axes.iter().zip(&descent).map(sided).collect())
 }
 
-/// The score of normals: the mean of min(|w|, |1 - w|) before and behind the points.
+/// The score of normals: the mean difference from 1 of the fall of the winding number across the points.
 fn score(points: &[[f64; 3]], normals: &[DVec3], areas: &[f64], progress: &Progress) -> Result<f64, Error> {
     let rows: Vec<[f64; 3]> = normals.iter().map(|normal| normal.to_array()).collect();
     let cloud = PointCloud::new(points, Some(&rows), Some(areas), &Progress::new())?;
@@ -255,13 +256,12 @@ fn score(points: &[[f64; 3]], normals: &[DVec3], areas: &[f64], progress: &Progr
         let reach = SCORE_REACH * areas[row].sqrt();
         let at = |side: f64| {
             let place = DVec3::from_array(points[row]) + normals[row] * (side * reach);
-            let w = turned * cloud.winding(cloud.local_from_world(place.to_array()), |_, error| error <= SCORE_ERROR);
-            w.abs().min((1.0 - w).abs())
+            turned * cloud.winding(cloud.local_from_world(place.to_array()), |_, error| error <= SCORE_ERROR)
         };
-        progress.check().map(|()| at(1.0) + at(-1.0))
+        progress.check().map(|()| (at(-1.0) - at(1.0) - 1.0).abs())
     };
     let scores: Vec<f64> = (0..points.len()).into_par_iter().step_by(step).map(of_point).collect::<Result<_, _>>()?;
-    Ok(scores.iter().sum::<f64>() / (2 * scores.len()) as f64)
+    Ok(scores.iter().sum::<f64>() / scores.len() as f64)
 }
 
 #[cfg(test)]

@@ -49,22 +49,27 @@ impl Sources {
     /// Adds the lanes with a weight of 1 to the sums; the others have weight 0.
     #[inline(always)]
     fn add<const KIND: u8>(&self, p: Vec3, width_squared: f32, weight: &[f32; WIDTH], sums: &mut [[f32; WIDTH]; 3]) {
+        let [px, py, pz] = p.to_array();
+        let ([ax, ay, az], [cx, cy, cz]) = (&self.at, &self.charge);
+        let [sx, sy, sz] = sums;
         for i in 0..WIDTH {
-            let d = [0, 1, 2].map(|axis| self.at[axis][i] - p[axis]);
-            let m = [0, 1, 2].map(|axis| self.charge[axis][i] * weight[i]);
-            let squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2] + width_squared;
-            let inverse = 1.0 / squared;
+            let (x, y, z) = (ax[i] - px, ay[i] - py, az[i] - pz);
+            let (mx, my, mz) = (cx[i] * weight[i], cy[i] * weight[i], cz[i] * weight[i]);
+            let inverse = 1.0 / (x * x + y * y + z * z + width_squared);
             let kernel = inverse * inverse.sqrt();
-            if KIND == 1 {
-                (0..3).for_each(|axis| sums[axis][i] += m[0] * d[axis] * kernel);
-                continue;
-            }
-            let along = m[0] * d[0] + m[1] * d[1] + m[2] * d[2];
-            if KIND == 0 {
-                sums[0][i] += along * kernel;
-            } else {
-                let turned = 3.0 * along * inverse;
-                (0..3).for_each(|axis| sums[axis][i] += (turned * d[axis] - m[axis]) * kernel);
+            let along = mx * x + my * y + mz * z;
+            let turned = 3.0 * along * inverse;
+            match KIND {
+                0 => sx[i] += along * kernel,
+                1 => {
+                    let share = mx * kernel;
+                    (sx[i], sy[i], sz[i]) = (sx[i] + share * x, sy[i] + share * y, sz[i] + share * z);
+                }
+                _ => {
+                    sx[i] += (turned * x - mx) * kernel;
+                    sy[i] += (turned * y - my) * kernel;
+                    sz[i] += (turned * z - mz) * kernel;
+                }
             }
         }
     }
@@ -156,8 +161,8 @@ impl<'a> ChargeTree<'a> {
             let sources = &self.nodes[child.index()];
             let mut weight = [0.0f32; WIDTH];
             for i in 0..WIDTH {
-                let d = [0, 1, 2].map(|axis| sources.at[axis][i] - p[axis]);
-                let squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+                let [x, y, z] = [sources.at[0][i] - p.x, sources.at[1][i] - p.y, sources.at[2][i] - p.z];
+                let squared = x * x + y * y + z * z;
                 let is_far = sources.radius_squared[i] < FAR_RATIO * FAR_RATIO * squared;
                 weight[i] = if is_far { 1.0 } else { 0.0 };
             }

@@ -33,7 +33,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Limits of t, one for each pass.
-const PASSES: [f32; 3] = [0.3, 0.1, 0.03];
+const PASSES: [f32; 4] = [0.3, 0.18, 0.1, 0.03];
 /// Rounding of the float32 terms, relative to S / R^2: a constant, and a multiple of t. 22 and 132 times 2^-24.
 const ROUNDING: [f32; 2] = [1.32e-6, 7.9e-6];
 /// Factor of the bound for its own rounding to float32.
@@ -113,12 +113,13 @@ impl Disks {
     /// The sum `r^2 n.(p - q) / |p - q|^3` over the disks, by lanes. A disk at q itself adds nothing.
     #[inline(always)]
     fn add_angles(&self, q: DVec3, sums: &mut [f64; WIDTH]) {
+        let [qx, qy, qz] = q.to_array();
+        let ([cx, cy, cz], [nx, ny, nz], radius) = (&self.center, &self.normal, &self.radius);
         for i in 0..WIDTH {
-            let [x, y, z] = [0, 1, 2].map(|axis| self.center[axis][i] - q[axis]);
-            let along = self.normal[0][i] * x + self.normal[1][i] * y + self.normal[2][i] * z;
+            let (x, y, z) = (cx[i] - qx, cy[i] - qy, cz[i] - qz);
+            let along = nx[i] * x + ny[i] * y + nz[i] * z;
             let squared = x * x + y * y + z * z;
-            let cubed = squared * squared.sqrt();
-            let angle = self.radius[i] * self.radius[i] * along / cubed;
+            let angle = radius[i] * radius[i] * along / (squared * squared.sqrt());
             sums[i] += if squared > 0.0 { angle } else { 0.0 };
         }
     }

@@ -1,5 +1,6 @@
 """Files of points and splats, and clouds of other libraries."""
 
+import json
 import time
 from types import SimpleNamespace
 
@@ -7,9 +8,11 @@ import laspy
 import numpy as np
 import pytest
 import trimesh
+from typer.testing import CliRunner
 
 import fieldbake as fb
 import meshes
+from fieldbake.cli.application import app
 
 SAMPLES = fb.sample_surface(meshes.torus(), 300)
 
@@ -221,3 +224,19 @@ def test_pyvista_clouds_are_taken():
     cloud = fb.PointCloud(SAMPLES.points, SAMPLES.normals)
     queries = np.zeros((1, 3))
     assert np.allclose(fb.query(data, queries).distances, fb.query(cloud, queries).distances, atol=1e-6)
+
+
+@pytest.mark.parametrize("ending", ["ply", "xyz"])
+def test_the_command_info_describes_points(tmp_path, ending):
+    path = tmp_path / f"cloud.{ending}"
+    if ending == "ply":
+        write_ply(path, dict(zip("xyz", SAMPLES.points.T, strict=True)))
+    else:
+        np.savetxt(path, np.hstack([SAMPLES.points, SAMPLES.normals]))
+
+    text = CliRunner().invoke(app, ["info", str(path)])
+    facts = CliRunner().invoke(app, ["info", "--json", str(path)])
+
+    assert text.exit_code == facts.exit_code == 0
+    assert "300 points" in text.output
+    assert json.loads(facts.output)["normals"] == ("none" if ending == "ply" else "given")

@@ -403,7 +403,8 @@ def _extracted(
     A warning names a wall thinner than a voxel, and faces that cross each other.
     """
     with part(0.6, 0.9):
-        made = extract(surface, level, source, sharp=True, capped=True)
+        # Without a source the planes would be those of the samples, which points and noise make uneven.
+        made = extract(surface, level, source, sharp=source is not None, capped=True)
     if not len(made.faces):
         raise MeshError(nothing)
     clamped = made.report.clamped_vertices if made.report else 0
