@@ -33,7 +33,9 @@ SMALL = {
 def folder(tmp_path):
     """A folder with the files that the pages name."""
     (tmp_path / "assets").mkdir()
-    ball = fb.bake(fb.sphere(0.5), 12).to_mesh()
+    volume = fb.bake(fb.sphere(0.5), 12)
+    volume.save(tmp_path / "scan.nrrd")
+    ball = volume.to_mesh()
     for name in ("bunny.obj", "a.glb", "b.glb", "assets/chair.glb", "assets/table.glb", "model.glb", "scene.glb",
                  "scan.ply", "knot.obj", "gear.obj", "part.stl"):  # fmt: skip
         ball.save(tmp_path / name)
