@@ -256,7 +256,7 @@ fn score(points: &[[f64; 3]], normals: &[DVec3], areas: &[f64], progress: &Progr
         let reach = SCORE_REACH * areas[row].sqrt();
         let at = |side: f64| {
             let place = DVec3::from_array(points[row]) + normals[row] * (side * reach);
-            turned * cloud.winding(cloud.local_from_world(place.to_array()), |_, error| error <= SCORE_ERROR)
+            turned * cloud.winding(cloud.local_from_world(place.to_array()), |_| SCORE_ERROR)
         };
         progress.check().map(|()| (at(-1.0) - at(1.0) - 1.0).abs())
     };

@@ -20,7 +20,10 @@
 //! rounding.
 //!
 //! *Use.* A pass takes clusters with t below a limit. If the sum of all bounds is too large, the next pass has a
-//! smaller limit; after the last one all points are summed in float64.
+//! smaller limit: the sum is nearly proportional to the square of the limit, and the number of clusters to its inverse.
+//! Where a pass would take longer than the sum over all points in float64, that sum is taken. The same limit for all
+//! clusters needs the fewest of them: their number is the integral of 1 / (pi r^2) over the surface, the bound that of
+//! 3 r^2 / (4 pi R^4), and with a fixed bound the number is least for r proportional to R.
 
 use super::{Disks, PointCloud};
 use crate::bvh::moments::{Cluster, NodeMoments};
@@ -32,8 +35,14 @@ use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Limits of t, one for each pass.
-const PASSES: [f32; 4] = [0.3, 0.18, 0.1, 0.03];
+/// Limit of t in the first pass.
+const FIRST_LIMIT: f64 = 0.3;
+/// A limit is at most this share of the limit of the pass before.
+const MOST_KEPT: f64 = 0.7;
+/// The next limit, as a share of the one whose expected error is the largest one wanted.
+const LIMIT_MARGIN: f64 = 0.85;
+/// A pass takes as long as the sum over this many points for each unit of 1 / limit^2.
+const POINTS_OF_PASS: f64 = 50.0;
 /// Rounding of the float32 terms, relative to S / R^2: a constant, and a multiple of t. 22 and 132 times 2^-24.
 const ROUNDING: [f32; 2] = [1.32e-6, 7.9e-6];
 /// Factor of the bound for its own rounding to float32.
@@ -126,20 +135,23 @@ impl Disks {
 }
 
 impl PointCloud {
-    /// The winding number at a local point. `is_enough(w, error)` decides whether a value is accurate enough.
-    pub fn winding(&self, p: DVec3, is_enough: impl Fn(f64, f64) -> bool) -> f64 {
-        for limit in PASSES {
-            let (w, error) = self.pass(p, limit);
-            if is_enough(w, error) {
+    /// The winding number at a local point. `most(w)` is the largest error that a value may have.
+    pub fn winding(&self, p: DVec3, most: impl Fn(f64) -> f64) -> f64 {
+        let mut limit = FIRST_LIMIT;
+        while POINTS_OF_PASS < limit * limit * (WIDTH * self.disks.len()) as f64 {
+            let (w, error) = self.pass(p, limit as f32);
+            let wanted = most(w);
+            if error <= wanted {
                 return w;
             }
+            limit *= (LIMIT_MARGIN * (wanted / error).sqrt()).min(MOST_KEPT);
         }
         self.exact_winding(p)
     }
 
     /// Whether a local point is inside: its winding number, turned outwards, exceeds 1/2.
     pub fn is_inside(&self, p: DVec3) -> bool {
-        self.excess(p, |excess, error| excess.abs() > error) > 0.0
+        self.excess(p, f64::abs) > 0.0
     }
 
     /// Whether a local point at a distance from the disks, world units, is inside, and whether that is a guess across a
@@ -149,16 +161,14 @@ impl PointCloud {
             return (self.is_inside(p), false);
         }
         // Both the sign of the excess and its comparison with the limit must be certain.
-        let is_certain = |excess: f64, error| excess.abs() > error && (excess.abs() - UNDECIDED).abs() > error;
-        let excess = self.excess(p, is_certain);
+        let excess = self.excess(p, |excess| excess.abs().min((excess.abs() - UNDECIDED).abs()));
         (excess > 0.0, excess.abs() < UNDECIDED)
     }
 
-    /// How far the winding number, turned outwards, exceeds 1/2. `is_certain(excess, error)` as in
-    /// [`PointCloud::winding`].
-    fn excess(&self, p: DVec3, is_certain: impl Fn(f64, f64) -> bool) -> f64 {
+    /// How far the winding number, turned outwards, exceeds 1/2. Its error is below `most(excess)`.
+    fn excess(&self, p: DVec3, most: impl Fn(f64) -> f64) -> f64 {
         let turned = if self.inside_out { -1.0 } else { 1.0 };
-        turned * self.winding(p, |w, error| is_certain(turned * w - 0.5, error)) - 0.5
+        turned * self.winding(p, |w| most(turned * w - 0.5).next_down()) - 0.5
     }
 
     /// The winding number in float64, over all points.
@@ -254,7 +264,7 @@ mod tests {
             let size = [4.0, 1.0, 1e-2, 1e-5][i % 4];
             let p = cloud.local_from_world((random(size) + DVec3::splat(0.3 * (i % 3) as f64)).to_array());
             let exact = cloud.exact_winding(p);
-            for limit in PASSES.into_iter().chain([0.7]) {
+            for limit in [0.7, 0.3, 0.18, 0.1, 0.03] {
                 let (w, error) = cloud.pass(p, limit);
                 assert!((w - exact).abs() <= error + 1e-12 * exact.abs().max(1.0), "{p} {limit}: {w} {exact} {error}");
                 largest = largest.max((w - exact).abs() / error.max(1e-9));

@@ -71,7 +71,7 @@ pub fn cloud_winding_numbers(
     error: f64,
     progress: &Progress,
 ) -> Result<Vec<f64>, Error> {
-    answer(cloud, points, progress, |(), p| cloud.winding(p, |_, bound| bound <= error))?.into_rows(progress)
+    answer(cloud, points, progress, |(), p| cloud.winding(p, |_| error))?.into_rows(progress)
 }
 
 /// Processes every position, with near ones after each other. `work` has a state that lasts for a chunk.
