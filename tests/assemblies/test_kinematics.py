@@ -232,6 +232,30 @@ def test_the_jacobian_is_the_derivative_of_points_fixed_to_bodies(files, name, r
     assert np.array_equal(robot.jacobian(values[0], -1, np.zeros(3)), np.zeros((3, count)))
 
 
+def test_the_jacobian_of_moved_roots_is_the_derivative(files, random):
+    robot = fb.Assembly.from_urdf(files["arm"])
+    place = np.tile(np.eye(4), (3, 1, 1))
+    place[:, :3, :3] = meshes.rotation(5)
+    place[:, :3, 3] = random.uniform(-1, 1, (3, 3))
+    values, row = random.uniform(-1, 1, (3, 8)), robot.body_names.index("hand")
+
+    def places(values):
+        return robot.poses(values, roots={"link0": place})[:, row, :3, 3]
+
+    found = robot.jacobian(values, row, places(values), roots={"link0": place})
+
+    step = 1e-6
+    for j in range(8):
+        change = np.zeros(8)
+        change[j] = step
+        expected = (places(values + change) - places(values - change)) / (2 * step)
+        # Central differences are exact to step^2, and to the rounding of positions divided by the step.
+        assert np.abs(found[..., j] - expected).max() <= 1e-8
+    one = robot.jacobian(values[0], row, places(values)[0], roots={"link0": place[0]})
+    assert np.array_equal(one, found[0])
+    assert not np.allclose(robot.jacobian(values, row, places(values)), found, atol=0.1)
+
+
 def test_mistakes_name_the_argument(files):
     robot = fb.Assembly.from_urdf(files["two"])
     cases = [

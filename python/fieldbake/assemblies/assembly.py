@@ -287,7 +287,14 @@ class Assembly:
             raise ArgumentError(f"values: must have shape (..., {count}), got {tuple(values.shape)}")
         return forward(self._tree, values, self._root_poses(None, ()), xp)[0]
 
-    def jacobian(self, values: ArrayLike | Mapping[str, float], bodies: Any, points: ArrayLike) -> NDArray[np.float64]:
+    def jacobian(
+        self,
+        values: ArrayLike | Mapping[str, float],
+        bodies: Any,
+        points: ArrayLike,
+        *,
+        roots: Mapping[str, ArrayLike] | None = None,
+    ) -> NDArray[np.float64]:
         """Compute the derivative of world positions of points that are fixed to bodies, by the joint values.
 
         Parameters
@@ -298,6 +305,8 @@ class Assembly:
             The body of each point, by name or row; -1 gives 0.
         points : (..., 3) or (b, ..., 3)
             World positions in the configuration of the values, such as `AssemblyQuery.points`.
+        roots : mapping of str to (4, 4) or (b, 4, 4), optional
+            Poses of bodies without a parent, those of :meth:`poses`.
 
         Returns
         -------
@@ -334,7 +343,7 @@ class Assembly:
         except ValueError:
             raise ArgumentError(f"bodies: must have shape {shape}, that of the points, got {rows.shape}") from None
         lead = array.shape[:-1]
-        frames = forward(self._tree, array, self._root_poses(None, lead), np)[1]
+        frames = forward(self._tree, array, self._root_poses(roots, lead), np)[1]
         result = jacobian(self._tree, frames, rows.reshape(*lead, -1), flat.reshape(*lead, -1, 3))
         return result.reshape(*shape, 3, len(self._tree.free))
 
