@@ -154,6 +154,9 @@ def test_a_large_file_is_refused_before_it_is_read(folder, monkeypatch):
 def test_a_missing_file_and_wrong_arguments(folder):
     with pytest.raises(FileNotFoundError):
         fb.Assembly.from_urdf(folder / "none.urdf")
+    with pytest.raises(fb.FormatError, match="is a folder, not a robot file") as caught:
+        fb.Assembly.from_urdf(folder)
+    assert "\n" not in str(caught.value)
     (folder / "robot.urdf").write_text(robots.TWO_LINKS)
     with pytest.raises(fb.ArgumentError, match='elements: must be one of "collision", "visual"'):
         fb.Assembly.from_urdf(folder / "robot.urdf", elements="both")
@@ -207,8 +210,10 @@ def test_a_bad_mjcf_file_is_one_error_of_one_line(folder, opened, text, message,
     assert len(done.output.splitlines()) == 1
 
 
-def test_other_sources_of_mjcf_are_errors():
+def test_other_sources_of_mjcf_are_errors(folder):
     pytest.importorskip("mujoco", reason="MuJoCo is not installed")
+    with pytest.raises(fb.FormatError, match="is a folder, not a robot file"):
+        fb.Assembly.from_mjcf(folder)
     with pytest.raises(fb.ArgumentError, match="source: must be a path, an MjSpec or an MjModel, got 3"):
         fb.Assembly.from_mjcf(3)
 

@@ -21,12 +21,14 @@ MAX_DEPTH = 1000
 def read_xml(path: Path) -> Element:
     """Read the root element of an XML file.
 
-    Raises FormatError for a file that is no XML, has a DOCTYPE, or exceeds `MAX_BYTES` or `MAX_DEPTH`. Entities can
-    only be defined in a DOCTYPE, so the tree is never larger than the file.
+    Raises FormatError for a folder, and for a file that is no XML, has a DOCTYPE, or exceeds `MAX_BYTES` or
+    `MAX_DEPTH`. Entities can only be defined in a DOCTYPE, so the tree is never larger than the file.
     """
     from xml.etree.ElementTree import TreeBuilder
     from xml.parsers import expat
 
+    if path.is_dir():
+        raise FormatError(f"{path}: is a folder, not a robot file; name the file in it")
     checks.finite_file(path, FormatError)
     size = path.stat().st_size
     if size > MAX_BYTES:
