@@ -7,6 +7,8 @@
 //! *Practice.* [`Bodies`] is made once. A configuration is one rigid pose for each body.
 
 pub mod nearest;
+#[cfg(test)]
+mod tests;
 
 use crate::csg::parts::closed_form::ClosedForm;
 use crate::mesh::Mesh;
