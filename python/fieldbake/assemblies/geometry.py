@@ -14,6 +14,9 @@ from ..meshes.mesh import Mesh
 from ..shapes.shape import Shape
 from ..volumes.grid_field import GridField
 
+#: A geometry, or a sequence of geometries with their transforms to the body.
+BodyLike = Any
+
 #: Largest deviation of a rigid transform from an orthonormal matrix, and from determinant 1.
 RIGID = 1e-6
 
@@ -72,3 +75,34 @@ def check_rigid(name: str, transforms: NDArray[np.float64], error: type[Error] =
         row = tuple(np.argwhere(~good)[0].tolist())
         place = f"{name}[{', '.join(map(str, row))}]" if row else name
         raise error(f"{place}: must be a rotation and a translation, got {transforms[row].tolist()}")
+
+
+def elements_of(
+    name: str, body: BodyLike, resolution: int
+) -> tuple[tuple[tuple[Mesh | Shape, NDArray[np.float64]], ...], float]:
+    """The geometries of a body with their transforms, and the largest deviation of converted ones."""
+    made, worst = [], 0.0
+    for i, (geometry, transform) in enumerate(_listed(body)):
+        where = f"bodies[{name!r}][{i}]"
+        place = checks.frozen(np.eye(4) if transform is None else rigid(where, transform))
+        try:
+            source, deviation = searchable(geometry, resolution)
+        except Error as error:
+            raise type(error)(f"{where}: {error}") from error
+        made.append((source, place))
+        worst = max(worst, deviation)
+    return tuple(made), worst
+
+
+def _listed(body: BodyLike) -> list[tuple[Any, Any]]:
+    """A body as pairs of a geometry and a transform, which may be None."""
+
+    def is_placed(item: Any) -> bool:
+        return isinstance(item, tuple) and len(item) == 2 and np.shape(item[1]) == (4, 4)
+
+    if is_placed(body):
+        return [body]
+    is_arrays = isinstance(body, tuple) and len(body) == 2 and np.ndim(body[0]) == 2  # (vertices, faces)
+    if isinstance(body, (tuple, list)) and not is_arrays:
+        return [item if is_placed(item) else (item, None) for item in body]
+    return [(body, None)]

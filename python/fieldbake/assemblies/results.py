@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..base.report import Report, Rows
+from ..meshes.mesh import Mesh
+from .joint import Joint
+
+#: A body this many times larger than the distance between its joints likely has other units.
+UNITS = 100.0
 
 
 class AssemblyQuery(NamedTuple):
@@ -67,3 +73,20 @@ class AssemblyReport(Rows):
             ("deviation", f"{self.largest_deviation:.3g}"),
             *(("warning", warning) for warning in self.warnings),
         ]
+
+
+def unit_warnings(joints: Iterable[Joint], bodies: Mapping[str, Any]) -> list[str]:
+    """Warnings about bodies that are much larger than the distances between joints."""
+    lengths = [float(np.linalg.norm(np.asarray(joint.origin)[:3, 3])) for joint in joints]
+    reach = max(lengths, default=0.0)
+    found = []
+    for name, elements in bodies.items():
+        for source, _ in elements:
+            if isinstance(source, Mesh) and len(source.faces):
+                size = float((source.bounds[1] - source.bounds[0]).max())
+                if 0 < UNITS * reach < size:
+                    found.append(
+                        f"{name!r} is {size / reach:.0f} times larger than the distances between joints; is it in "
+                        "millimetres? Scale the mesh"
+                    )
+    return found
