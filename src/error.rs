@@ -27,6 +27,11 @@ pub enum MeshError {
     MovedCount { count: usize, vertices: usize },
     #[error("vertices[{vertex}] = ({x}, {y}, {z}) is not finite")]
     MovedNotFinite { vertex: usize, x: f64, y: f64, z: f64 },
+    #[error(
+        "the mesh is open, so it is no solid that can be swept; close it by fieldbake.solid(mesh), or sweep it as a sheet \
+         with sign=\"unsigned\""
+    )]
+    OpenSweep,
     #[error("the mesh has {count} {what}, the limit is {limit}")]
     TooLarge { what: &'static str, count: usize, limit: usize },
     #[error("points: the cloud is empty; a surface needs at least one point")]

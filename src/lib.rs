@@ -59,5 +59,6 @@ pub mod sign;
 mod simd;
 pub mod solid;
 pub mod surface;
+pub mod sweep;
 mod viewer;
 pub mod volume;

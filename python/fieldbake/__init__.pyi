@@ -20,6 +20,7 @@ from .atlases.packing import pack as pack
 from .baking.dense import bake as bake
 from .baking.sequence import bake_sequence as bake_sequence
 from .baking.sparse import bake_sparse as bake_sparse
+from .baking.swept import sweep as sweep
 from .base.adapters import Device as Device, devices as devices
 from .base.errors import (
     ArgumentError as ArgumentError,

@@ -138,6 +138,9 @@ class Bodies:
 
     def __new__(cls, count: int, elements: list[tuple[int, Mesh | Shape, list[list[float]], float]]) -> Bodies:
         """``elements``: the body, the geometry, its transform (4, 4) to the body, and the scale of the transform."""
+    @property
+    def count(self) -> int:
+        """Number of geometries."""
     def distance(
         self,
         poses: NDArray[np.float64],
@@ -745,6 +748,43 @@ def bake_sparse(
     progress: Callable[[float], object] | None = None,
 ) -> tuple[SparseField, dict[str, Any]]:
     """Bricks and the report, as for :func:`bake`. ``band`` and ``tolerance`` are in voxels."""
+
+class Sweep:
+    """Bodies and their motion."""
+
+    @staticmethod
+    def of_poses(bodies: Bodies, poses: NDArray[np.float64], closed: bool, unsigned: bool) -> Sweep:
+        """A motion through world-from-body poses (rows * bodies, 4, 4)."""
+    @staticmethod
+    def of_joints(
+        bodies: Bodies,
+        chains: list[tuple[list[list[float]], list[tuple[list[list[float]], str, list[float], list[float]]]]],
+        rows: int,
+        closed: bool,
+        unsigned: bool,
+    ) -> Sweep:
+        """A motion through joint values: for each body the pose of its root and the joints from there to the body."""
+    @property
+    def steps(self) -> int:
+        """Number of steps of the motion."""
+    def bounds(self) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
+        """A box around the swept solid; none if a geometry is unbounded or there is none."""
+    def bake(
+        self,
+        lower: tuple[float, float, float],
+        upper: tuple[float, float, float],
+        shape: tuple[int, int, int],
+        *,
+        offset: float,
+        tolerance: float,
+        band: float,
+        encoding: str = "float32",
+        progress: Callable[[float], object] | None = None,
+    ) -> tuple[SparseField, int, int]:
+        """The field, the number of its evaluated samples, and that of evaluated distances.
+
+        ``offset``, ``tolerance`` and ``band`` are in world units.
+        """
 
 def to_sparse(
     distances: NDArray[Any],

@@ -69,18 +69,18 @@ pub enum Geometry {
 /// A geometry that is fixed to a body.
 #[derive(Debug, Clone)]
 pub struct Element {
-    geometry: Geometry,
-    body: usize,
+    pub(crate) geometry: Geometry,
+    pub(crate) body: usize,
     /// Body from geometry.
-    place: Similarity,
+    pub(crate) place: Similarity,
     /// A box around the inside and the surface, in coordinates of the geometry; none if there is no such box.
-    bounds: Option<[DVec3; 2]>,
+    pub(crate) bounds: Option<[DVec3; 2]>,
 }
 
 /// The geometry of all bodies.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct Bodies {
-    elements: Vec<Element>,
+    pub(crate) elements: Vec<Element>,
     count: usize,
 }
 

@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 /// The geometry of rigid bodies.
 #[pyclass(frozen, module = "fieldbake._core")]
-pub struct Bodies(core::Bodies);
+pub struct Bodies(pub(super) core::Bodies);
 
 /// World-from-body poses (k, 4, 4).
 type Poses<'py> = PyReadonlyArray3<'py, f64>;
@@ -40,6 +40,12 @@ impl Bodies {
             bodies.add(body, geometry, Similarity::from_rows(&rows, scale));
         }
         Ok(Self(bodies))
+    }
+
+    /// Number of geometries.
+    #[getter]
+    fn count(&self) -> usize {
+        self.0.element_count()
     }
 
     /// Signed distances (k,) of points (m, 3) in all configurations; k = configurations * points.

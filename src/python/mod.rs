@@ -25,6 +25,7 @@ mod scene;
 mod shader;
 mod sparse;
 mod surface;
+mod sweep;
 mod viewer;
 mod volume;
 
@@ -77,6 +78,8 @@ mod _core {
     };
     #[pymodule_export]
     use super::surface::{Surface, SurfaceBlocks};
+    #[pymodule_export]
+    use super::sweep::Sweep;
     #[pymodule_export]
     use super::viewer::{viewer_shader, viewer_triangles};
     #[pymodule_export]

@@ -27,7 +27,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 /// A sparse field in one of the encodings.
-enum Any {
+pub(super) enum Any {
     Float32(Sparse<f32>),
     Float16(Sparse<f16>),
     Snorm16(Sparse<i16>),
@@ -35,7 +35,7 @@ enum Any {
 }
 
 /// An element type, and the variant of [`Any`] that holds it.
-trait Stored: Texel + numpy::Element {
+pub(super) trait Stored: Texel + numpy::Element {
     fn any(field: Sparse<Self>) -> Any
     where
         Self: Sized;
@@ -66,7 +66,7 @@ macro_rules! with_field {
 
 /// Bricks of samples near a surface.
 #[pyclass(frozen, module = "fieldbake._core")]
-pub struct SparseField(Any);
+pub struct SparseField(pub(super) Any);
 
 impl SparseField {
     /// A copy with float32 samples.

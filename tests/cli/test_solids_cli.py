@@ -1,4 +1,4 @@
-"""The commands mesh, solid and boolean."""
+"""The commands mesh, solid, boolean and sweep."""
 
 import warnings
 
@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 import fieldbake as fb
 import meshes
+import robots
 from fieldbake.cli.application import app
 
 
@@ -93,3 +94,54 @@ def test_meshes_and_shapes_have_no_solid_above(files):
         result = run("mesh", files / name, "--inside", "above", "-o", files / "out.ply")
         assert result.exit_code == 2
         assert "--inside" in result.output
+
+
+def test_a_sweep_is_written_as_a_mesh_or_a_field(files):
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[1, 0, 3] = 1.0
+    np.save(files / "poses.npy", poses)
+
+    made = run("sweep", files / "a.ply", files / "poses.npy", "-o", files / "swept.stl", "-r", "40")
+    assert made.exit_code == 0, made.output
+    assert "1 steps" in made.output
+    swept = fb.load_mesh(files / "swept.stl")
+    assert swept.is_closed
+    assert 12.0 < swept.volume < 20.0
+    made = run("sweep", files / "a.ply", files / "poses.npy", "-o", files / "swept.npz", "-r", "40", "--no-contain")
+    assert made.exit_code == 0, made.output
+    assert fb.load(files / "swept.npz").to_mesh(sharp=False).volume == pytest.approx(12.0, rel=0.05)
+
+
+def test_a_robot_is_swept_by_its_joint_values(files):
+    (files / "robot.urdf").write_text(robots.TWO_LINKS)
+    np.save(files / "values.npy", np.linspace((0, 0), (1, 1), 4))
+    made = run("sweep", files / "robot.urdf", files / "values.npy", "-o", files / "swept.obj", "-r", "32")
+    assert made.exit_code == 0, made.output
+    assert fb.load_mesh(files / "swept.obj").is_closed
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "message"),
+    [
+        (("a.ply", "none.npy", "swept.stl"), 1, "none.npy"),
+        (("a.ply", "bad.npy", "swept.stl"), 1, "is no .npy array of a motion"),
+        (("a.ply", "flat.npy", "swept.stl"), 1, "motion: must have shape (t, 4, 4)"),
+        (("open.ply", "one.npy", "swept.stl"), 1, "the mesh is open"),
+        (("none.urdf", "one.npy", "swept.stl"), 1, "none.urdf"),
+        (("bad.urdf", "one.npy", "swept.stl"), 1, "is no XML"),
+        (("a.ply", "one.npy", "swept.txt"), 2, "must end in"),
+    ],
+)
+def test_mistakes_of_a_sweep_are_one_line(files, arguments, status, message):
+    np.save(files / "one.npy", np.eye(4)[None])
+    np.save(files / "flat.npy", np.eye(4))
+    (files / "bad.npy").write_bytes(b"hello")
+    (files / "bad.urdf").write_text("hello")
+    fb.Mesh(*meshes.open_box()).save(files / "open.ply")
+    geometry, motion, output = (files / name for name in arguments)
+    made = run("sweep", geometry, motion, "-o", output)
+    assert made.exit_code == status, made.output
+    assert message in " ".join(made.output.split())
+    if status == 1:
+        assert len(made.output.strip().splitlines()) == 1
+    assert not output.exists()

@@ -28,6 +28,7 @@ LAYERS = [
     "query",
     "csg",
     "assembly",
+    "sweep",
     "quadric",
     "merge",
     "scene",

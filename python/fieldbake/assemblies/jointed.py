@@ -126,6 +126,23 @@ class JointedBodies:
             raise ArgumentError(f"values: must have shape (..., {count}), got {tuple(values.shape)}")
         return forward(self._tree, values, self._root_poses(None, ()), xp)[0]
 
+    def _chains(self, values: ArrayLike) -> list[tuple[Any, list[tuple[Any, str, Any, list[float]]]]]:
+        """The pose of the root of each body, and the joints from there: origin, kind, axis, and a value per row."""
+        array = self._checked_values(values)
+        tree = self._tree
+        all_values = array @ tree.rates.T + tree.offsets
+        roots = self._root_poses(None, ())
+        chains: list[tuple[Any, list[tuple[Any, str, Any, list[float]]]]] = [([], [])] * len(tree.parents)
+        for i in tree.order:
+            if tree.parents[i] < 0:
+                chains[i] = np.asarray(roots[i]).tolist(), []
+                continue
+            root, above = chains[tree.parents[i]]
+            own = [(tree.joints[j], all_values[:, j].tolist()) for j in tree.chains[i]]
+            steps = [(np.asarray(k.origin).tolist(), k.kind, np.asarray(k.axis).tolist(), row) for k, row in own]
+            chains[i] = root, [*above, *steps]
+        return chains
+
     def jacobian(
         self,
         values: ArrayLike | Mapping[str, float],

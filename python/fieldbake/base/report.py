@@ -177,7 +177,7 @@ class Report(Rows):
         return rows
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Report.from_dict, (self.to_dict(),)
+        return type(self).from_dict, (self.to_dict(),)
 
 
 def _plain(value: Any) -> Any:

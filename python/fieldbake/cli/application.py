@@ -73,6 +73,7 @@ COMMANDS = {
     "boolean": ("solids", "Combine two meshes: fieldbake boolean a.stl - b.stl -o c.stl."),
     "slice": ("layers", "Slice a solid into layers for a printer: images in a .zip archive, or outlines as .svg."),
     "cook": ("physics", "Compile a robot for MuJoCo with exact distances in the octrees of its SDF geoms."),
+    "sweep": ("physics", "Write the space that a moving part or robot covers, as a closed mesh or a field."),
     "convert": (
         "files",
         "Write a field, an atlas or a mesh in another format; a field becomes a mesh as its zero surface.",

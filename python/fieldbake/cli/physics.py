@@ -1,11 +1,11 @@
-"""The command ``cook``: the model of a robot with exact collision fields, or with closed meshes."""
+"""The commands ``cook`` and ``sweep``: collision fields of robots, and the space that a motion covers."""
 
 from __future__ import annotations
 
 import json
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
@@ -15,10 +15,11 @@ import fieldbake as fb
 from ..assemblies.mjcf_files import compiled, read_spec
 from ..base.optional import optional_module
 from ..files.container import atomic_write
+from ..files.registry import ENDINGS
 from ..physics.closing import closed_mesh, has_one_side
 from ..physics.models import MAX_DEPTH, mesh_in_file
 from .application import app, show_rows
-from .commands import Resolution
+from .commands import MESHES, Resolution, parse_bounds, resolution_option
 from .streams import check_clobber, check_output
 
 
@@ -67,6 +68,72 @@ def cook(
         version = f"{mujoco.__version__}; other versions of MuJoCo refuse the file"
         rows = [("meshes", ", ".join(map(str, written)) or "none needed a change")] if solid else [("MuJoCo", version)]
         show_rows(str(output), rows)
+
+
+@app.command()
+def sweep(
+    geometry: Annotated[Path, typer.Argument(help="The moving body: a mesh, or a robot as .urdf or .xml (MJCF).")],
+    motion: Annotated[
+        Path,
+        typer.Argument(
+            help="The motion, .npy: poses (t, 4, 4); for a robot joint values (t, m) or poses (t, n, 4, 4)."
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", help=f"The file to write: {', '.join((*MESHES, *ENDINGS['sparse']))}."),
+    ],
+    resolution: Annotated[Any, resolution_option(128)] = "128",
+    voxel_size: Annotated[
+        float | None, typer.Option(help="Side of a cubic voxel, world units; replaces --resolution.")
+    ] = None,
+    bounds: Annotated[
+        Any, typer.Option(parser=parse_bounds, metavar="X,Y,Z,X,Y,Z", help="Lower and upper corner of the box.")
+    ] = None,
+    closed: Annotated[bool, typer.Option("--closed", help="Return from the last row to the first.")] = False,
+    contain: Annotated[
+        bool,
+        typer.Option("--contain/--no-contain", help="Move the surface outside the swept solid, by a proven distance."),
+    ] = True,
+    tolerance: Annotated[float, typer.Option(help="Largest difference of a sample from the distance, voxels.")] = 0.25,
+    sign: Annotated[
+        Literal["auto", "winding", "unsigned"],
+        typer.Option(help="unsigned sweeps open meshes as sheets; the others use the winding number."),
+    ] = "auto",
+) -> None:
+    """Write the space that a moving part or robot covers, as a closed mesh or a field."""
+    check_output(output, (*MESHES, *ENDINGS["sparse"]))
+    body: Any
+    ending = geometry.suffix.lower()
+    if ending == ".urdf":
+        body = fb.Assembly.from_urdf(geometry)
+    elif ending in (".xml", ".mjcf"):
+        body = fb.Assembly.from_mjcf(geometry)
+    else:
+        body = fb.load_mesh(geometry)
+    try:
+        rows = np.load(motion, allow_pickle=False)
+    except (ValueError, EOFError) as error:
+        raise fb.FormatError(f"{motion}: is no .npy array of a motion ({str(error).splitlines()[0]})") from None
+    swept = fb.sweep(
+        body,
+        rows,
+        resolution,
+        voxel_size=voxel_size,
+        bounds=bounds,
+        closed=closed,
+        contain=contain,
+        tolerance=tolerance,
+        sign=sign,
+    )
+    facts = [("size", " x ".join(map(str, swept.resolution)))]
+    if output.suffix.lower() in MESHES:
+        made = swept.to_mesh(sharp=False)
+        made.save(output)
+        facts = [("surface", f"{len(made.faces):,} faces, volume {made.volume:.4g}")]
+    else:
+        swept.save(output)
+    show_rows(str(output), [*facts, *swept.report.rows()])
 
 
 def _rows(field: Any) -> list[tuple[str, str]]:
