@@ -76,7 +76,7 @@ CLEARANCE = 0.04
 
 def thread(radius, height, pitch):
     """A rod whose axis is a helix around z."""
-    return fb.extrude(fb.circle(radius), height).translate((0.15, 0, 0)).twist(360 / pitch)
+    return fb.extrude(fb.circle(radius), height).translate((0.15, 0, 0)).twist(pitch=pitch)
 
 
 def fall(pitch, seconds, level=1.0):
