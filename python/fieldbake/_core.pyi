@@ -917,6 +917,7 @@ class InstanceRow(TypedDict):
     object: int
     #: Whether light intersects the triangles instead of the field.
     is_sheet: bool
+    is_solid: bool
 
 @type_check_only
 class MaterialRow(TypedDict):

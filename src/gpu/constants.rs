@@ -190,6 +190,12 @@ wgsl_constants! {
         /// parameter that the root is added to.
         SMALLEST_STEP: f32 as f32 = f32::EPSILON;
     }
+    scene_occluders {
+        /// The beams that an instance blocks: none, all, or cones only, if the CPU traces its triangles for rays.
+        CASTS_NOTHING: u32 as u32 = 0;
+        CASTS_FOR_ALL: u32 as u32 = 1;
+        CASTS_FOR_CONES: u32 as u32 = 2;
+    }
     scene_beams {
         /// Largest number of steps of one cone past one instance. Steps of at least half a voxel cross the diagonal of
         /// 128^3 in 450; few cones stay so near to a surface for so long.

@@ -171,6 +171,7 @@ struct InstanceRow<'py> {
     own_colors: bool,
     object: u32,
     is_sheet: bool,
+    is_solid: bool,
 }
 
 impl InstanceRow<'_> {
@@ -186,6 +187,7 @@ impl InstanceRow<'_> {
             own_colors: self.own_colors,
             object: self.object,
             is_sheet: self.is_sheet,
+            is_solid: self.is_solid,
         })
     }
 }

@@ -201,6 +201,9 @@ fn draw(
     let shades = u64::from(passes);
     progress.set_total((draws + finds * evaluation::FIND_WORTH + shades) * u64::from(options.size[1]));
 
+    if options.shadows != SceneShadows::None || options.occlusion.is_some() || options.bounces.is_some() {
+        scene.prepare_rays();
+    }
     let casters = Casters { scene, far, near: None };
     let light_device = device.filter(|device| device.knows_all());
     let lights = Lights::new(scene, options);

@@ -163,11 +163,7 @@ class Options:
         )
         is_marched = self.primary == "raymarch"
         return Fields(
-            of_solids=self.shadows != "none"
-            or bool(self.ambient_occlusion)
-            or self.bounces > 0
-            or is_marched
-            or scatters,
+            of_solids=self.shadows == "soft" or bool(self.ambient_occlusion) or is_marched or scatters,
             of_sheets=is_marched,
         )
 
@@ -255,11 +251,11 @@ def render(scene: Any, camera: Camera | None = None, **options: Unpack[RenderOpt
         eighth.
     bounces : int from 0 to 4, default 0
         Largest number of diffuse reflections on the way of the light to the visible surface. 0 draws the light of the
-        lights alone, with ambient light that arrives everywhere. 1 and more trace paths from each surface through the
-        distance fields and sheets. The paths collect the reflected light of the lights, the emission of surfaces, so
-        that emissive materials are area lights, and the ambient light where it is not blocked. They replace
-        `ambient_occlusion` and do not use `far`. Paths are evaluated on the CPU for pictures of every device, and
-        interpolated between pixels like occlusion.
+        lights alone, with ambient light that arrives everywhere. 1 and more trace paths from each surface to the
+        triangles of meshes and the surfaces of all other objects. The paths collect the reflected light of the lights,
+        the emission of surfaces, so that emissive materials are area lights, and the ambient light where it is not
+        blocked. They replace `ambient_occlusion` and do not use `far`. Paths are evaluated on the CPU for pictures of
+        every device, and interpolated between pixels like occlusion.
     bounce_samples : int, default 256
         Number of paths for each evaluated surface with `bounces`. All surfaces use the same directions, relative to
         their normals, so too few paths cause faint bands instead of noise. The time is proportional to the number.
@@ -299,7 +295,7 @@ def render(scene: Any, camera: Camera | None = None, **options: Unpack[RenderOpt
         of the kernels on a device with timestamps (``"primary"``; ``"beams"``, ``"rays"``, ``"cones"``, ``"parts"`` and
         ``"edges"`` of the light; ``"thicknesses"`` of objects that scatter light; empty for more than 2,048 passes),
         ``reused``, the stages whose results are those of the last frame of a :class:`Renderer`, ``sheets``, the number
-        of instances whose triangles are traced for light (by the CPU, for pictures of every device), and two counters:
+        of instances whose triangles are traced for cones of light too, and two counters:
         ``rays``, the number of shadow, occlusion, scattering and bounce rays and cones, and ``far_rays``, the number of
         those that entered the far field.
 
@@ -330,9 +326,12 @@ def render(scene: Any, camera: Camera | None = None, **options: Unpack[RenderOpt
     image are smoothed as described for :class:`Scene`. In a closed room, 256 paths differ from a path tracer by 2 % in
     the mean.
 
-    Shadows and occlusion of open sheets, of flat meshes and of meshes with a mask or a translucent texture are those of
-    their triangles, with the opacity of the material at each hit; such meshes need no field. Each crossing of a blended
-    surface absorbs a fraction of the light equal to its opacity.
+    Hard and ``"area"`` shadows and `bounces` trace the triangles of meshes, on the CPU for pictures of every device.
+    Soft shadows and occlusion evaluate distance fields, except for open sheets, for flat and thin meshes and for meshes
+    with a mask or a translucent texture: they trace their triangles, with the opacity of the material at each hit. Each
+    crossing of a blended surface absorbs a fraction of the light equal to its opacity. Rays past the triangles of a
+    mesh with smooth normals start on the smooth surface above its faces (J. Hanika, Hacking the shadow terminator, Ray
+    Tracing Gems II, 2021).
 
     A merged field keeps walls of at least two of its voxels closed. Past `far_distance` the edges of shadows deviate
     by up to about one of its voxels, and thinner objects may cast no shadow. Nearer occluders are unaffected.

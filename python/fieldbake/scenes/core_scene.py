@@ -92,6 +92,7 @@ class Rows:
                 "own_colors": own_colors,
                 "object": number,
                 "is_sheet": sheet.is_traced,
+                "is_solid": sheet.is_solid,
             }
         )
         for look in looks:
@@ -150,8 +151,8 @@ class SceneBuilder:
                     looks_of[key] = looks, self._sheet(geometry, looks)
                 looks, sheet = looks_of[key]
                 if fields.of_solids and not sheet.is_traced:
-                    sheet = self._with_thin_walls(number, instance, looks, sheet, fields)
-                is_baked = fields.of_sheets if sheet.is_traced else fields.of_solids
+                    sheet = self._with_thin_walls(number, instance, sheet, fields)
+                is_baked = fields.of_sheets if sheet.is_traced and not _scatters(material) else fields.of_solids
                 baked = self._baked(geometry, instance.resolution, device, looks, sheet) if is_baked else None
                 rows.add(number, instance, self._mesh(geometry, is_colored), baked, looks, sheet)
             else:
@@ -179,9 +180,7 @@ class SceneBuilder:
             self._sheets[key] = sheet_of(mesh, looks)
         return self._sheets[key]
 
-    def _with_thin_walls(
-        self, number: int, instance: Instance, looks: Sequence[Look], sheet: Sheet, fields: Fields
-    ) -> Sheet:
+    def _with_thin_walls(self, number: int, instance: Instance, sheet: Sheet, fields: Fields) -> Sheet:
         """Make a mesh a sheet for light if its field would lose thin walls; warn where the field is needed."""
         mesh, resolution = instance.geometry, instance.resolution
         assert isinstance(mesh, Mesh)
@@ -192,18 +191,13 @@ class SceneBuilder:
         needed = self._needed[key]
         if needed is None:
             return sheet
-        # A translucent solid is one layer of its field, and scattered light needs the length of the path inside.
-        is_opaque = instance.opacity >= 1 and all(
-            look.alpha_mode != "blend" or look.opacity.min() == 1 for look in looks
-        )
-        is_traced = is_opaque and not (instance.material and any(scattering_rgb(instance.material)))
-        if is_new and (fields.of_sheets or not is_traced):
+        if is_new and (fields.of_sheets or _scatters(instance.material)):
             warn(
                 f"instances[{number}]: parts of the mesh are thinner than {THIN_VOXELS} voxels of its field, which may "
-                f"lose them and their shadows; use Instance(resolution={needed}) instead of {resolution}",
+                f"lose them; use Instance(resolution={needed}) instead of {resolution}",
                 SurfaceWarning,
             )
-        return sheet._replace(is_traced=is_traced)
+        return sheet._replace(is_traced=True)
 
     def _baked(self, mesh: Mesh, resolution: int, device: str, looks: Sequence[Look], sheet: Sheet) -> _core.SceneField:
         if any(look.alpha_mode == "mask" for look in looks):
@@ -213,6 +207,11 @@ class SceneBuilder:
         if key not in self._fields:
             self._fields[key] = field_cache.of_mesh(mesh, resolution, device, looks)
         return self._fields[key]
+
+
+def _scatters(material: Material | None) -> bool:
+    """Whether light passes through an object, which needs the length of the path inside its field."""
+    return material is not None and any(scattering_rgb(material))
 
 
 def _materials_of(mesh: Mesh) -> NDArray[np.uint32]:

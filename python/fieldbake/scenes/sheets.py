@@ -1,4 +1,4 @@
-"""Detection of sheets: meshes whose shadows are those of their triangles instead of a distance field."""
+"""Detection of sheets: meshes whose soft shadows are those of their triangles instead of a distance field."""
 
 from __future__ import annotations
 
@@ -96,14 +96,16 @@ class Look(NamedTuple):
 class Sheet(NamedTuple):
     """Treatment of a mesh by light and by the camera."""
 
-    #: Light intersects the triangles, because a field would be too thick or has no opacity.
+    #: Cones of light intersect the triangles, because a field would be too thick or has no opacity.
     is_traced: bool
     #: Both sides of the faces are visible to the camera, unless the material says otherwise.
     is_two_sided: bool
+    #: The mesh blocks its fraction of the light once, however many faces a ray crosses.
+    is_solid: bool = False
 
 
 #: A solid, or an object without triangles.
-NO_SHEET = Sheet(is_traced=False, is_two_sided=False)
+NO_SHEET = Sheet(is_traced=False, is_two_sided=False, is_solid=True)
 
 
 def sheet_of(mesh: Mesh, looks: Sequence[Look]) -> Sheet:
@@ -123,9 +125,10 @@ def sheet_of(mesh: Mesh, looks: Sequence[Look]) -> Sheet:
     )
     is_translucent = bool(translucent) and (is_open or is_two_sided or not is_uniform)
     is_traced = is_translucent or (is_open and _net_area_share(mesh) > SHEET_SHARE)
+    is_reversed = not is_open and not translucent and mesh._core.has_reversed_body()
     # A closed body that is wound inside out is the same solid. Its faces are visible from behind. The wall of a cavity
     # counts as such a body too; this differs only for a camera inside the wall.
-    return Sheet(is_traced, not is_open and not translucent and mesh._core.has_reversed_body())
+    return Sheet(is_traced, is_reversed, is_solid=not is_traced)
 
 
 def needed_resolution(mesh: Mesh, resolution: int) -> int | None:

@@ -199,7 +199,8 @@ fn next_caster(walk: ptr<function, Walk>, beam: Beam) -> Occluder {
         (*walk).second = NO_INSTANCE;
         let to = &instances[index];
         let opacity = (*to).opacity;
-        if (*to).casts_shadow == 0u || opacity == 0.0 { continue; }
+        if (*to).casts_shadow == CASTS_NOTHING || opacity == 0.0 { continue; }
+        if (*to).casts_shadow == CASTS_FOR_CONES && beam.slope == 0.0 { continue; }
         // The box of a leaf contains two instances.
         if !meets(beam, (*to).box_min - BOX_MARGIN, (*to).box_max + BOX_MARGIN, (*walk).reach) { continue; }
         if beam.cut == ROOT_WITHOUT_OWN && index == beam.own { continue; }

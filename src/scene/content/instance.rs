@@ -28,8 +28,10 @@ pub struct InstanceInput {
     pub visible: bool,
     /// Identifier in the picture; several instances may be one object.
     pub object: u32,
-    /// Whether light intersects its triangles instead of its field ([`crate::scene::light::past_sheets`]).
+    /// Whether cones of light intersect its triangles instead of its field ([`crate::scene::light::past_sheets`]).
     pub is_sheet: bool,
+    /// Whether it blocks its fraction of the light once, however many of its faces a ray crosses.
+    pub is_solid: bool,
 }
 
 /// An instance with the data for rays.
@@ -54,8 +56,10 @@ pub struct Instance {
     pub has_colored_mask: bool,
     /// Identifier in the picture.
     pub object: u32,
-    /// Whether light intersects its triangles instead of its field ([`crate::scene::light::past_sheets`]).
+    /// Whether cones of light intersect its triangles instead of its field ([`crate::scene::light::past_sheets`]).
     pub is_sheet: bool,
+    /// Fraction of the light that a ray loses if it hits any of its faces; None if that depends on the hits.
+    pub face_shade: Option<f32>,
     /// Transform from scene space to the local coordinates of the mesh's tree (`Mesh::local_from_world`).
     pub tree_from_scene: DAffine3,
     /// Map of normals from the object's own axes to scene space. Only the direction is used: the largest entry is 1, so
@@ -88,6 +92,9 @@ impl Instance {
         made.shade *= made.blend_opacity(materials);
         let has_opacity = || made.triangles.as_ref().is_some_and(|triangles| triangles.has_opacity());
         let is_mask = |material: &Material| matches!(material.alpha, Alpha::Mask(_));
+        let is_opaque = |material: &Material| matches!(material.alpha, Alpha::Opaque);
+        let is_plain = made.opacity >= 1.0 && made.own_materials(materials).iter().all(is_opaque);
+        made.face_shade = (input.is_solid || is_plain).then_some(made.shade);
         made.has_colored_mask = made.own_materials(materials).iter().any(is_mask) && has_opacity();
         Ok(made)
     }
@@ -145,6 +152,7 @@ impl Instance {
             casts_shadow: input.casts_shadow,
             visible: input.visible,
             has_colored_mask: false,
+            face_shade: None,
             object: input.object,
             is_sheet: input.is_sheet,
         })
@@ -154,6 +162,11 @@ impl Instance {
     pub fn own_materials<'a>(&self, materials: &'a [Material]) -> &'a [Material] {
         let count = self.triangles.as_ref().map_or(1, |triangles| triangles.material_count());
         &materials[self.first_material as usize..][..count]
+    }
+
+    /// The triangles that rays of light intersect: those of a mesh that blocks light.
+    pub fn casting_triangles(&self) -> Option<&Triangles> {
+        self.triangles.as_deref().filter(|_| self.casts_shadow && self.opacity > 0.0)
     }
 
     /// Whether distances describe all its effects on light: it is neither translucent nor tested by thin rays.

@@ -27,8 +27,10 @@ pub struct Scene {
     pub tree: Tree,
     /// Scene boxes of the instances.
     pub boxes: Vec<Aabb>,
-    /// The instances whose triangles block light.
+    /// The instances whose triangles block cones of light.
     pub sheets: Sheets,
+    /// Whether triangles of any instance block rays of light.
+    pub has_faces: bool,
     /// A ball around each instance, computed for the first picture with occlusion.
     balls: OnceLock<Vec<Ball>>,
     /// The inputs of the scene, for [`Scene::moved`].
@@ -63,7 +65,9 @@ impl Scene {
         let instances: Vec<Instance> = inputs.iter().enumerate().map(make).collect::<Result<_, _>>()?;
         let tree = Tree::new(&boxes);
         let sheets = Sheets::new(&instances, &boxes);
-        Ok(Self { center, scale, instances, materials, textures, tree, boxes, sheets, balls: OnceLock::new(), inputs })
+        let has_faces = instances.iter().any(|instance| instance.casting_triangles().is_some());
+        let balls = OnceLock::new();
+        Ok(Self { center, scale, instances, materials, textures, tree, boxes, sheets, has_faces, balls, inputs })
     }
 
     /// The same instances with other transforms, world from local, one for each instance. All objects are shared. The

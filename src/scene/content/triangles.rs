@@ -126,6 +126,19 @@ impl Triangles {
         a * weights[0] + b * weights[1] + c * weights[2]
     }
 
+    /// Offset from a point of a face to the smooth surface above it, local units: the mean of the offsets to the planes
+    /// at the corners that are above the point, by the weights of the corners (Hanika, *Hacking the shadow terminator*,
+    /// Ray Tracing Gems II, 2021). It is zero where the normals are those of the face, and where the surface is hollow.
+    pub fn to_smooth_surface(&self, face: u32, weights: [f64; 3], is_front: bool) -> Vec3 {
+        let corners = self.mesh.triangle(face);
+        let p: DVec3 = corners.iter().zip(weights).map(|(&corner, weight)| weight * corner).sum();
+        let above = |((corner, normal), weight): ((&DVec3, &Vec3), f64)| {
+            let normal = if is_front { normal.as_dvec3() } else { -normal.as_dvec3() };
+            weight * (*corner - p).dot(normal).max(0.0) * normal
+        };
+        corners.iter().zip(&self.normals[face as usize]).zip(weights).map(above).sum::<DVec3>().as_vec3()
+    }
+
     /// Texture widths per local unit on a face: the square root of the ratio of areas.
     pub fn uv_density(&self, face: u32) -> f32 {
         if self.uv.is_empty() {

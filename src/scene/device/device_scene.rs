@@ -10,6 +10,7 @@ use crate::error::Error;
 use crate::geometry::Aabb;
 use crate::gpu::Context;
 use crate::gpu::constants::scene_beam::{ROOT, ROOT_WITHOUT_OWN};
+use crate::gpu::constants::scene_occluders::{CASTS_FOR_ALL, CASTS_FOR_CONES, CASTS_NOTHING};
 use crate::gpu::layout::{Answer, Beam, BeamParams, RasterInstance, SceneInstance, SceneNode};
 use crate::gpu::pace::in_groups_from;
 use crate::gpu::pipeline::{AnyPipeline, BindGroups, BoundRange, Dispatch, DispatchSize, whole};
@@ -409,6 +410,7 @@ fn from_beam(beam: &Beam) -> (SurfacePoint, LightRay) {
         normal: Vec3::from_array(beam.normal),
         own: beam.own,
         bias_voxels: beam.bias_voxels,
+        lift: Vec3::ZERO,
         skips_own: beam.cut == ROOT_WITHOUT_OWN,
     };
     let direction = Vec3::from_array(beam.direction).as_dvec3().normalize();
@@ -437,7 +439,11 @@ fn instance_row(instance: &Instance, bounds: &Aabb, record: u32) -> SceneInstanc
         normal_x,
         field: record,
         normal_y,
-        casts_shadow: u32::from(!instance.is_sheet && instance.casts_shadow && instance.field.is_some()),
+        casts_shadow: match &instance.triangles {
+            _ if instance.field.is_none() || instance.is_sheet || !instance.casts_shadow => CASTS_NOTHING,
+            Some(_) => CASTS_FOR_CONES,
+            None => CASTS_FOR_ALL,
+        },
         normal_z,
         box_min: bounds.min.to_array(),
         prefers_rays: u32::from(instance.field.as_ref().is_some_and(|field| field.prefers_rays())),

@@ -12,7 +12,7 @@
 //! - the light of the lights on each surface that it hits, times the albedo of the path so far.
 //!
 //! A path ends at the largest number of bounces. Its light has not the direct light at the visible surface, which the
-//! light pass computes ([`super::shadow`]). Rays find fields and sheets ([`super::light_hits`]), so indirect light
+//! light pass computes ([`super::shadow`]). Rays find triangles and fields ([`super::light_hits`]), so indirect light
 //! agrees with the shadows.
 //!
 //! All surfaces use the same points of the disc and the same further samples. The error is therefore smooth across a
@@ -61,10 +61,6 @@ impl<'a> Bounces<'a> {
     ) -> Result<Option<Self>, Error> {
         let Some(bounces) = options.bounces else { return Ok(None) };
         let scene = casters.scene;
-        // Trees are built here: see `Sheets::new` of the scene's content.
-        for triangles in scene.instances.iter().filter_map(|instance| instance.triangles.as_ref()) {
-            triangles.mesh.bvh();
-        }
         let emits = scene.materials.iter().any(|material| material.unlit || material.emission != [0.0; 3]);
         Ok(Some(Self {
             // A far field has no colours.

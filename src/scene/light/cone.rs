@@ -14,7 +14,7 @@ use glam::{DVec3, Vec3};
 
 /// Result of a cone past one instance.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Cone {
+pub(crate) struct Cone {
     /// Signed distance of the nearest edge from the axis in radii, from -1 to 1.
     pub x: f32,
     /// Whether the whole section of the cone was inside the solid at some distance.
@@ -22,7 +22,7 @@ pub struct Cone {
 }
 
 impl Cone {
-    pub const FREE: Self = Self { x: 1.0, is_covered: false };
+    pub(crate) const FREE: Self = Self { x: 1.0, is_covered: false };
     pub(crate) const COVERED: Self = Self { x: -1.0, is_covered: true };
 }
 
@@ -64,13 +64,13 @@ pub(crate) enum Decision {
 
 /// Result of a cone to a light.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ConeShare {
+pub(crate) struct ConeShare {
     pub share: f32,
     pub is_proven: bool,
 }
 
 /// Accumulated results of a cone.
-pub struct ConeSum {
+pub(crate) struct ConeSum {
     /// Fraction that translucent instances let pass.
     translucent: f32,
     /// Whether opaque instances cover the cone completely.
@@ -83,7 +83,7 @@ pub struct ConeSum {
 
 /// A wide cone of occlusion and what is known about the instance that it passes ([`ConeWalk::beside_wide`]).
 #[derive(Clone, Copy)]
-pub struct WideCone<'a> {
+pub(crate) struct WideCone<'a> {
     /// The instances that rays past the cone's edges may meet.
     pub beside: Beside<'a>,
     /// Lower bound, in radii, of the distance between a free axis and the surface of the instance. Distances of its
@@ -94,7 +94,7 @@ pub struct WideCone<'a> {
 
 /// The ball around the surface of an instance beside the axis of a cone, scene units.
 #[derive(Debug, Clone, Copy)]
-pub struct BallAhead {
+pub(crate) struct BallAhead {
     /// Position of the ball's centre along the axis, and its squared distance from the apex.
     pub along: f32,
     pub squared: f32,
@@ -103,7 +103,7 @@ pub struct BallAhead {
 
 impl BallAhead {
     /// An unbounded surface.
-    pub const ENDLESS: Self = Self { along: 0.0, squared: 0.0, radius: f32::INFINITY };
+    pub(crate) const ENDLESS: Self = Self { along: 0.0, squared: 0.0, radius: f32::INFINITY };
 
     /// The largest depth inside this ball of points of the axis at `t` and beyond, in radii `slope t`. Infinite before
     /// the middle of the ball.
@@ -124,15 +124,15 @@ impl BallAhead {
 const BALL_ROUNDING: f32 = 1e-3;
 
 impl ConeSum {
-    pub const NEW: Self = Self { translucent: 1.0, is_proven: true, opaque: Cone::FREE, thin: RayBundle::NEW };
+    pub(crate) const NEW: Self = Self { translucent: 1.0, is_proven: true, opaque: Cone::FREE, thin: RayBundle::NEW };
 
     /// Distance from the axis, in radii, within which another instance can change the result.
-    pub fn x_known(&self, instance: &Instance) -> f32 {
+    pub(crate) fn x_known(&self, instance: &Instance) -> f32 {
         if instance.is_opaque_solid() { self.opaque.x } else { 1.0 }
     }
 
     /// Adds the result of one more instance.
-    pub fn add(&mut self, instance: &Instance, cone: Cone) {
+    pub(crate) fn add(&mut self, instance: &Instance, cone: Cone) {
         if instance.shade < 1.0 {
             self.translucent *= 1.0 - instance.shade * (1.0 - visible_share(cone.x));
             self.is_proven &= cone.is_covered || cone.x >= 1.0;
@@ -142,7 +142,7 @@ impl ConeSum {
         }
     }
 
-    pub fn share(&self) -> ConeShare {
+    pub(crate) fn share(&self) -> ConeShare {
         if self.opaque.is_covered {
             return ConeShare { share: 0.0, is_proven: true };
         }

@@ -16,12 +16,8 @@ use rayon::prelude::*;
 use std::f64::consts::PI;
 use std::ops::Range;
 
-/// Distance between a face and the surface of its field, voxels: with a margin for the trilinear interpolation.
-const FIELD_VOXELS: f64 = 3.0;
 /// Relative distance within which a hit lies on a face.
 const SAME_PLACE: f64 = 1e-4;
-/// Smallest cosine by which the distance from a field is converted to one along a ray.
-const LEAST_COSINE: f64 = 0.1;
 
 /// Number of faces between two checks of the progress: about a millisecond.
 const BATCH: usize = 1 << 14;
@@ -151,20 +147,19 @@ impl Emitters {
         let ray = LightRay { direction: way / t, t_max: t };
         let cosine = -normal.dot(ray.direction);
         let is_front = cosine > 0.0;
-        let cosine = if instance.is_sheet && face.material().two_sided { cosine.abs() } else { cosine };
+        let cosine = if face.material().two_sided { cosine.abs() } else { cosine };
         let arrives = density_of_direction(place, &ray);
         // A point at a distance of zero has no direction.
         if !(t > 0.0 && cosine > 0.0 && arrives > 0.0) {
             return Vec3::ZERO;
         }
-        let voxel = f64::from((instance.field_normal_from_scene * normal.as_vec3()).length());
-        let off_field = if instance.is_sheet { 0.0 } else { FIELD_VOXELS * voxel / cosine.max(LEAST_COSINE) };
-        // Rays to sheets start off the surface.
+        // The ray starts off its own surface.
         let lift = scene.lift(place) / cosine;
         let is_visible = casters
             .first_surface(place, &ray, work)
-            .is_none_or(|hit| hit.place.own == emitter.instance && hit.t >= t - lift - off_field.max(SAME_PLACE * t));
-        if !is_visible || instance.is_sheet && instance.opacity * face.opacity(is_front) < LEAST_OPACITY {
+            .is_none_or(|hit| hit.place.own == emitter.instance && hit.t >= t - lift - SAME_PLACE * t);
+        let opacity = instance.face_shade.unwrap_or_else(|| instance.opacity * face.opacity(is_front));
+        if !is_visible || opacity < LEAST_OPACITY {
             return Vec3::ZERO;
         }
         let per_area = brightness(face.material()) / self.total();
@@ -175,11 +170,9 @@ impl Emitters {
 /// The mesh of an instance, if its faces may emit light.
 fn emissive_mesh<'a>(scene: &Scene, instance: &'a Instance) -> Option<&'a Triangles> {
     let materials = instance.own_materials(&scene.materials);
-    let emits = blocks_light(instance) && materials.iter().any(|material| brightness(material) > 0.0);
-    let triangles = instance.triangles.as_deref().filter(|_| emits)?;
-    // The normals of a solid must point outwards. The light of others is found by directions alone.
-    let is_usable = instance.is_sheet || !triangles.mesh.topology().has_reversed_body(&triangles.mesh);
-    is_usable.then_some(triangles)
+    let emits = materials.iter().any(|material| brightness(material) > 0.0)
+        && instance.face_shade.is_none_or(|shade| shade >= LEAST_OPACITY);
+    instance.casting_triangles().filter(|_| emits)
 }
 
 /// The faces in a range that emit light. `end` of each is its own area times brightness.
@@ -194,11 +187,6 @@ fn weights(scene: &Scene, item: usize, faces: Range<usize>) -> Vec<Emitter> {
         (end > 0.0 && end.is_finite()).then_some(Emitter { instance: item as u32, face: face as u32, end })
     };
     faces.filter_map(emitter).collect()
-}
-
-/// Whether rays of light find an instance.
-fn blocks_light(instance: &Instance) -> bool {
-    instance.casts_shadow && (instance.is_sheet || instance.field.is_some() && instance.shade >= LEAST_OPACITY)
 }
 
 /// Density of cosine-weighted directions along a ray, per steradian.

@@ -44,7 +44,7 @@ use glam::{DAffine3, Vec3};
 use std::sync::Arc;
 
 /// A far field in a scene.
-pub struct Far {
+pub(crate) struct Far {
     /// Levels, finest first.
     pub levels: Vec<FarLevel>,
     /// Distance from which the field is evaluated, scene units.
@@ -54,7 +54,7 @@ pub struct Far {
 }
 
 /// A level of a far field.
-pub struct FarLevel {
+pub(crate) struct FarLevel {
     /// The field as an instance of the scene.
     pub instance: Instance,
     /// Region of the level, except for the finer levels in it: the box of its samples; for the outermost level the box
@@ -66,7 +66,7 @@ pub struct FarLevel {
 
 /// The split of a ray into parts for the instances and for the far field, scene units.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Split {
+pub(crate) struct Split {
     /// End of the part for the instances.
     pub near: f64,
     pub far: Option<[f64; 2]>,
@@ -76,13 +76,20 @@ pub struct Split {
 
 impl Split {
     /// The split without a far field.
-    pub fn near(end: f64) -> Self {
+    pub(crate) fn near(end: f64) -> Self {
         Self { near: end, far: None, rest: None }
+    }
+
+    /// The intervals of a ray of length `t_max` in which an instance is evaluated: not beside the far field if that
+    /// contains the instance. It contains opaque solids only.
+    pub(crate) fn parts(&self, instance: &Instance, t_max: f64) -> impl Iterator<Item = [f64; 2]> + use<> {
+        let (near, rest) = if instance.is_opaque_solid() { (self.near, self.rest) } else { (t_max, None) };
+        [Some([0.0, near]), rest.map(|rest| [rest, t_max])].into_iter().flatten()
     }
 }
 
 impl Far {
-    pub fn new(scene: &Scene, far: &FarField) -> Result<Self, Error> {
+    pub(crate) fn new(scene: &Scene, far: &FarField) -> Result<Self, Error> {
         if let Some(distance) = far.distance.filter(|distance| !(0.0..=f64::MAX).contains(distance)) {
             let problem = format!("must be a finite number of at least 0, got {distance}");
             return Err(SceneError::new("far_distance", problem).into());
@@ -113,7 +120,7 @@ impl Far {
 
         let data = in_scene(outermost, outermost.bounds());
         let is_held = |(instance, bounds): (&Instance, &Aabb)| {
-            let casts = !instance.is_sheet && instance.casts_shadow && instance.field.is_some() && instance.shade > 0.0;
+            let casts = instance.casts_shadow && instance.shade > 0.0;
             let is_in_data = bounds.min.cmpge(data.min).all() && bounds.max.cmple(data.max).all();
             !casts || (instance.is_opaque_solid() && is_in_data)
         };
@@ -122,7 +129,7 @@ impl Far {
     }
 
     /// Splits a ray, or a cone of radius `slope t` around it.
-    pub fn split(&self, place: &SurfacePoint, ray: &LightRay, slope: f32) -> Split {
+    pub(crate) fn split(&self, place: &SurfacePoint, ray: &LightRay, slope: f32) -> Split {
         let bounds = &self.outermost().bounds;
         let grown = if slope > 0.0 { widest(place, ray, slope, bounds) } else { 0.0 };
         let (lower, upper) = (bounds.min - grown, bounds.max + grown);
@@ -136,7 +143,7 @@ impl Far {
     }
 
     /// The levels for the far part of a ray, each with its piece.
-    pub fn pieces<'a>(
+    pub(crate) fn pieces<'a>(
         &'a self,
         far: [f64; 2],
         place: &'a SurfacePoint,
@@ -187,5 +194,6 @@ fn as_thing(field: &Arc<dyn Field>) -> InstanceInput {
         visible: false,
         object: 0,
         is_sheet: false,
+        is_solid: true,
     }
 }

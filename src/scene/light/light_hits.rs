@@ -1,17 +1,18 @@
 //! The first surface on a ray of light, with its appearance.
 //!
-//! A ray finds the surfaces that cast shadows: fields, and the triangles of sheets. The colours of a mesh are those of
-//! the face that is nearest to the hit of its field.
+//! A ray finds the surfaces that cast shadows: the triangles of meshes, and the fields of all other objects.
 
 use super::far_field::Split;
 use super::light_rays::{LightRay, LightWork, SurfacePoint};
 use super::lit_surface::{BIAS_FIELD, BIAS_TRIANGLE};
+use super::mesh_rays::is_skipped;
 use super::occluder::ray_in_field;
 use super::shadow::Casters;
 use crate::bvh::rays::watertight::FaceHit;
 use crate::scene::content::instance::Instance;
 use crate::scene::content::model::Scene;
 use crate::scene::content::tree::Line;
+use crate::scene::content::triangles::Triangles;
 use crate::scene::fields::field::FieldHit;
 use crate::scene::visibility::appearance::{FaceAppearance, field_color, field_emission};
 use glam::Vec3;
@@ -40,37 +41,66 @@ impl Casters<'_> {
     /// The first surface on a thin ray.
     pub(crate) fn first_surface(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> Option<LightHit> {
         let scene = self.scene;
-        let face = scene.first_face(place, ray, work);
-        let mut ray = LightRay { t_max: face.map_or(ray.t_max, |(_, hit)| hit.t), ..*ray };
-        let mut solid: Option<(u32, FieldHit)> = None;
+        let mut ray = *ray;
+        let mut nearest: Option<(u32, Hit)> = None;
         let line = Line::new(place.p.as_vec3(), ray.direction.as_vec3());
         scene.tree.walk(&line, ray.t_max as f32, |item, limit| {
             work.steps += 1;
-            if scene.instances[item as usize].shade < LEAST_OPACITY {
+            let instance = &scene.instances[item as usize];
+            if let Some(triangles) = instance.casting_triangles() {
+                let Some(hit) = scene.first_face(item, triangles, place, &ray) else { return limit };
+                ray.t_max = hit.t;
+                nearest = Some((item, Hit::Face(hit)));
+                return past(hit.t);
+            }
+            if instance.shade < LEAST_OPACITY {
                 return limit;
             }
             let before = ray;
             for caster in self.casters(item, place, &before, &Split::near(before.t_max)) {
                 if let Some(hit) = self.hit_from(&caster, place, &before, 0.0, work) {
                     ray.t_max = f64::from(hit.t);
-                    solid = Some((item, hit));
+                    nearest = Some((item, Hit::Field(hit)));
                     return hit.t;
                 }
             }
             limit
         });
         work.count(false);
-        match (solid, face) {
-            (Some((item, hit)), _) => scene.solid_hit(item, place, &ray, &hit),
-            (None, Some((item, hit))) => scene.sheet_hit(item, place, &ray, &hit),
-            (None, None) => None,
+        match nearest? {
+            (item, Hit::Face(hit)) => scene.face_hit(item, place, &ray, &hit),
+            (item, Hit::Field(hit)) => scene.field_hit(item, place, &ray, &hit),
         }
     }
 }
 
+/// A hit of a ray.
+enum Hit {
+    Face(FaceHit),
+    Field(FieldHit),
+}
+
+/// A limit in float32 that is at least the distance of a hit: boxes that begin at the hit are searched.
+fn past(t: f64) -> f32 {
+    (t as f32).next_up()
+}
+
 impl Scene {
+    /// The first face of an instance on a thin ray that blocks at least [`LEAST_OPACITY`] of the light.
+    fn first_face(&self, item: u32, triangles: &Triangles, place: &SurfacePoint, ray: &LightRay) -> Option<FaceHit> {
+        let instance = &self.instances[item as usize];
+        if is_skipped(item, triangles, place) || instance.face_shade.is_some_and(|shade| shade < LEAST_OPACITY) {
+            return None;
+        }
+        triangles.mesh.first_hit(&self.ray_in_tree(item, place, ray, [0.0, ray.t_max]), |hit| {
+            let opacity =
+                || FaceAppearance::new(self, instance, triangles, hit.face, hit.weights).opacity(hit.is_front);
+            instance.face_shade.is_some() || instance.opacity * opacity() >= LEAST_OPACITY
+        })
+    }
+
     /// A hit of a field. `ray` ends there.
-    fn solid_hit(&self, item: u32, place: &SurfacePoint, ray: &LightRay, hit: &FieldHit) -> Option<LightHit> {
+    fn field_hit(&self, item: u32, place: &SurfacePoint, ray: &LightRay, hit: &FieldHit) -> Option<LightHit> {
         let instance = &self.instances[item as usize];
         let field = instance.field.as_deref()?;
         let (origin, direction) = ray_in_field(instance, item == place.own, place, ray);
@@ -79,26 +109,17 @@ impl Scene {
         let normal =
             if hit.at_start { against } else { (instance.scene_from_normal * look.normal).normalize_or(against) };
         let p = place.p + ray.t_max * ray.direction;
-        let (material, color, emission) = match &instance.triangles {
-            Some(triangles) => {
-                let nearest = triangles.mesh.closest_point(instance.tree_from_scene.transform_point3(p));
-                let face = FaceAppearance::new(self, instance, triangles, nearest.face, nearest.on_triangle.weights);
-                let footprint = || footprint(instance, ray);
-                (face.material_index(), face.color(footprint).truncate(), face.emission(footprint))
-            }
-            None => {
-                let material = &self.materials[instance.first_material as usize];
-                (instance.first_material, field_color(instance, material, &look), field_emission(material))
-            }
-        };
-        let place = SurfacePoint { p, normal, own: item, bias_voxels: BIAS_FIELD, skips_own: false };
-        Some(self.light_hit(ray, place, material, color, emission))
+        let material = &self.materials[instance.first_material as usize];
+        let (color, emission) = (field_color(instance, material, &look), field_emission(material));
+        let place = SurfacePoint { p, normal, own: item, bias_voxels: BIAS_FIELD, lift: Vec3::ZERO, skips_own: false };
+        Some(self.light_hit(ray, place, instance.first_material, color, emission))
     }
 
-    /// A hit of the face of a sheet. `ray` ends there.
-    fn sheet_hit(&self, item: u32, place: &SurfacePoint, ray: &LightRay, hit: &FaceHit) -> Option<LightHit> {
+    /// A hit of a face. `ray` ends there.
+    fn face_hit(&self, item: u32, place: &SurfacePoint, ray: &LightRay, hit: &FaceHit) -> Option<LightHit> {
         let instance = &self.instances[item as usize];
-        let face = FaceAppearance::new(self, instance, instance.triangles.as_deref()?, hit.face, hit.weights);
+        let triangles = instance.triangles.as_deref()?;
+        let face = FaceAppearance::new(self, instance, triangles, hit.face, hit.weights);
         let footprint = || footprint(instance, ray);
         let emits = hit.is_front || face.material().two_sided;
         let emission = if emits { face.emission(footprint) } else { Vec3::ZERO };
@@ -107,6 +128,7 @@ impl Scene {
             normal: face.normal_toward(ray.direction.as_vec3(), hit.is_front),
             own: item,
             bias_voxels: BIAS_TRIANGLE,
+            lift: triangles.to_smooth_surface(hit.face, hit.weights, hit.is_front),
             skips_own: false,
         };
         Some(self.light_hit(ray, place, face.material_index(), face.color(footprint).truncate(), emission))

@@ -15,6 +15,9 @@ pub struct SurfacePoint {
     pub own: u32,
     /// Distance by which a ray starts off the field of the own instance, voxels.
     pub bias_voxels: f32,
+    /// Offset of the start of a ray past the triangles of the own instance, in units of the mesh's tree: to the smooth
+    /// surface above a face, or off the surface of the field of a mesh.
+    pub lift: Vec3,
     /// Whether the own instance casts no shadow on the point, because light that scatters passes through it. Far fields
     /// contain the own instance, so they are not used then.
     pub skips_own: bool,
@@ -29,7 +32,7 @@ pub struct LightRay {
 
 /// A cone around a ray from a surface: at the distance `t` its radius is `slope t`.
 #[derive(Debug, Clone, Copy)]
-pub struct LightCone<'a> {
+pub(crate) struct LightCone<'a> {
     pub place: &'a SurfacePoint,
     pub ray: &'a LightRay,
     pub slope: f32,

@@ -1,7 +1,7 @@
 //! A visible surface with the light on it: the rays and cones that its light needs, and their evaluation on the CPU.
 
 use super::light_rays::{LightRay, LightWork, SurfacePoint, basis, disc_point, toward};
-use super::occluder::NearList;
+use super::occluder::{NearList, bias};
 use super::occlusion::Occluders;
 use super::shadow::Casters;
 use super::transmission;
@@ -19,13 +19,13 @@ pub(crate) const BIAS_TRIANGLE: f32 = 1.0;
 
 /// The lights of a picture in scene space.
 #[derive(Debug)]
-pub struct Lights {
+pub(crate) struct Lights {
     pub lights: Vec<SceneLight>,
 }
 
 /// A light in scene space.
 #[derive(Debug, Clone, Copy)]
-pub enum SceneLight {
+pub(crate) enum SceneLight {
     /// Unit direction to the light.
     Directional { to_light: DVec3, color: Vec3, slope: f32 },
     Point {
@@ -39,7 +39,7 @@ pub enum SceneLight {
 }
 
 impl Lights {
-    pub fn new(scene: &Scene, options: &RenderOptions) -> Self {
+    pub(crate) fn new(scene: &Scene, options: &RenderOptions) -> Self {
         let in_scene = |light: &Light| match *light {
             Light::Directional { direction, color, slope } => {
                 SceneLight::Directional { to_light: -direction.normalize(), color, slope }
@@ -57,8 +57,16 @@ impl Lights {
 }
 
 impl SceneLight {
+    /// Whether the light is larger than a point.
+    pub(crate) fn has_size(&self) -> bool {
+        match *self {
+            Self::Directional { slope, .. } => slope > 0.0,
+            Self::Point { radius, .. } => radius > 0.0,
+        }
+    }
+
     /// The ray to the light from a scene point, the light's angular radius as a slope, and its colour at the point.
-    pub fn seen_from(&self, p: DVec3) -> (LightRay, f32, Vec3) {
+    pub(crate) fn seen_from(&self, p: DVec3) -> (LightRay, f32, Vec3) {
         match *self {
             Self::Directional { to_light, color, slope } => {
                 (LightRay { direction: to_light, t_max: f64::INFINITY }, slope, color)
@@ -110,14 +118,14 @@ pub(crate) fn pixel_turn(x: usize, y: usize) -> f32 {
 }
 
 /// Light on a layer, for writing: the fields of [`crate::scene::lighting::light_buffer::LightSample`].
-pub struct LightSampleMut<'a> {
+pub(crate) struct LightSampleMut<'a> {
     pub open: &'a mut f32,
     pub shares: &'a mut [f32],
     pub through: &'a mut [[f32; 3]],
 }
 
 /// A layer in scene space.
-pub struct LitSurface<'a> {
+pub(crate) struct LitSurface<'a> {
     pub layer: &'a Layer,
     pub place: SurfacePoint,
     pub to_eye: Vec3,
@@ -127,36 +135,43 @@ pub struct LitSurface<'a> {
 
 impl<'a> LitSurface<'a> {
     /// A layer of row `y`.
-    pub fn new(scene: &Scene, buffer: &GBuffer, y: usize, layer: &'a Layer) -> Self {
+    pub(crate) fn new(scene: &Scene, buffer: &GBuffer, y: usize, layer: &'a Layer) -> Self {
         let direction = buffer.view.direction(layer.x, y as u32);
-        let place = SurfacePoint {
+        let mut place = SurfacePoint {
             p: scene.scene_from_world(buffer.view.start(layer.x, y as u32) + layer.depth * direction),
             normal: layer.normal,
             own: layer.instance,
             bias_voxels: if layer.is_triangle { BIAS_TRIANGLE } else { BIAS_FIELD },
+            lift: layer.to_smooth,
             skips_own: false,
         };
+        let own = &scene.instances[layer.instance as usize];
+        if !layer.is_triangle && own.triangles.is_some() {
+            // The surface of the field is up to a third of a voxel inside the mesh.
+            let off_field = BIAS_TRIANGLE / BIAS_FIELD * bias(own, &place) * place.normal;
+            place.lift = (own.tree_from_scene.matrix3 * off_field.as_dvec3()).as_vec3();
+        }
         let to_eye = -direction.normalize().as_vec3();
         Self { layer, place, to_eye, turn: pixel_turn(layer.x as usize, y) }
     }
 
     /// Cosine between the normal and a ray.
-    pub fn cosine(&self, ray: &LightRay) -> f32 {
+    pub(crate) fn cosine(&self, ray: &LightRay) -> f32 {
         self.layer.normal.dot(ray.direction.as_vec3())
     }
 
     /// Whether a light must be evaluated. A surface that faces away from the light receives none of it.
-    pub fn needs_rays(&self, ray: &LightRay, options: &RenderOptions) -> bool {
+    pub(crate) fn needs_rays(&self, ray: &LightRay, options: &RenderOptions) -> bool {
         options.shadows != SceneShadows::None && self.cosine(ray) > 0.0
     }
 
-    pub fn scatters(&self, scene: &Scene) -> bool {
+    pub(crate) fn scatters(&self, scene: &Scene) -> bool {
         scene.materials[self.layer.material as usize].scattering != [0.0; 3]
     }
 
     /// Fraction of a light that arrives, where it is known without evaluation: 1 without shadows, 0 on a surface that
     /// faces away. Else None.
-    pub fn plain_share(&self, ray: &LightRay, options: &RenderOptions) -> Option<f32> {
+    pub(crate) fn plain_share(&self, ray: &LightRay, options: &RenderOptions) -> Option<f32> {
         match options.shadows {
             SceneShadows::None => Some(1.0),
             _ if !self.needs_rays(ray, options) => Some(0.0),
@@ -166,7 +181,7 @@ impl<'a> LitSurface<'a> {
 
     /// Evaluates the light on the surface in the fields. `near` has for each light the instances that may block it,
     /// if they are known. Returns the work.
-    pub fn look(
+    pub(crate) fn look(
         &self,
         casters: &Casters<'_>,
         near: Option<&[NearList]>,
@@ -225,7 +240,7 @@ impl<'a> LitSurface<'a> {
 
     /// The rays along which light passes through the instance, each with the slope of its part of the light: every ray
     /// of an area light separately, else the ray to the centre with the whole light.
-    pub fn ways(&self, ray: &LightRay, slope: f32, shadows: SceneShadows) -> Vec<(LightRay, f32)> {
+    pub(crate) fn ways(&self, ray: &LightRay, slope: f32, shadows: SceneShadows) -> Vec<(LightRay, f32)> {
         match shadows {
             SceneShadows::Area(count) if slope > 0.0 => {
                 let axes = basis(ray.direction);
@@ -237,14 +252,14 @@ impl<'a> LitSurface<'a> {
 
     /// Fraction of the light that remains after a length inside the instance, scene units, times the weight of the
     /// surface.
-    pub fn left(&self, scene: &Scene, ray: &LightRay, length: f32) -> Vec3 {
+    pub(crate) fn left(&self, scene: &Scene, ray: &LightRay, length: f32) -> Vec3 {
         let scattering = Vec3::from_array(scene.materials[self.layer.material as usize].scattering);
         transmission::weight(self.cosine(ray)) * transmission::left(length * scene.scale as f32, scattering)
     }
 
     /// The visibility of a light behind the instance if it needs no rays: without shadows, where no light remains, and
     /// where the surface receives all of the light although its own instance can shade it.
-    pub fn plain_visibility(&self, share: f32, left: Vec3, options: &RenderOptions) -> Option<f32> {
+    pub(crate) fn plain_visibility(&self, share: f32, left: Vec3, options: &RenderOptions) -> Option<f32> {
         match options.shadows {
             SceneShadows::None => Some(1.0),
             _ if left.max_element() <= NO_LIGHT => Some(0.0),
@@ -253,7 +268,7 @@ impl<'a> LitSurface<'a> {
     }
 
     /// The surface point for light through the instance: the instance itself casts no shadow on it.
-    pub fn place_behind(&self) -> SurfacePoint {
+    pub(crate) fn place_behind(&self) -> SurfacePoint {
         SurfacePoint { skips_own: true, ..self.place }
     }
 }

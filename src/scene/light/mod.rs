@@ -7,6 +7,7 @@ pub(crate) mod far_field;
 pub(crate) mod light_hits;
 pub(crate) mod light_rays;
 pub(crate) mod lit_surface;
+pub(crate) mod mesh_rays;
 pub(crate) mod near_instances;
 pub(crate) mod occluder;
 pub(crate) mod occlusion;

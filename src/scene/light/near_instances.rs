@@ -7,7 +7,7 @@ const ROUNDING: f32 = 1e-5;
 
 /// The instances that a search found, with the centres and radii of their balls.
 #[derive(Debug, Default)]
-pub struct NearInstances {
+pub(crate) struct NearInstances {
     pub items: Vec<u32>,
     x: Vec<f32>,
     y: Vec<f32>,
@@ -16,14 +16,14 @@ pub struct NearInstances {
 }
 
 impl NearInstances {
-    pub fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.items.clear();
         let Self { x, y, z, radius, .. } = self;
         [x, y, z, radius].into_iter().for_each(Vec::clear);
     }
 
     /// Adds an instance whose surface lies in a ball.
-    pub fn push(&mut self, item: u32, center: Vec3, radius: f32) {
+    pub(crate) fn push(&mut self, item: u32, center: Vec3, radius: f32) {
         self.items.push(item);
         self.x.push(center.x);
         self.y.push(center.y);
@@ -32,7 +32,7 @@ impl NearInstances {
     }
 
     /// The centres of the balls along x, y and z, and their radii.
-    pub fn balls(&self) -> [&[f32]; 4] {
+    pub(crate) fn balls(&self) -> [&[f32]; 4] {
         [&self.x, &self.y, &self.z, &self.radius]
     }
 
@@ -48,7 +48,7 @@ impl NearInstances {
 
 /// An instance in a wide cone.
 #[derive(Debug, Clone, Copy)]
-pub struct ConeOccluder {
+pub(crate) struct ConeOccluder {
     /// Lower bound of the distance, in radii, between the axis and the surface; at most 0 if there is no bound.
     pub x: f32,
     /// Index of the instance in [`NearInstances::items`].
@@ -57,7 +57,7 @@ pub struct ConeOccluder {
 
 /// The instances beside the axis of a wide cone.
 #[derive(Debug, Clone, Copy)]
-pub struct Beside<'a> {
+pub(crate) struct Beside<'a> {
     pub nearby: &'a NearInstances,
     /// All instances that come within one radius of the axis.
     pub met: &'a [ConeOccluder],
@@ -72,7 +72,7 @@ impl Beside<'_> {
     ///
     /// At the distance `t` along the axis, the narrow cone is `(offset - width) t` to `(offset + width) t` away from
     /// the axis. It misses an instance whose surface is `x` radii away, if `offset + width < slope x`.
-    pub fn along(&self, p: Vec3, direction: Vec3, offset: f32, width: f32, mut visit: impl FnMut(u32) -> bool) {
+    pub(crate) fn along(&self, p: Vec3, direction: Vec3, offset: f32, width: f32, mut visit: impl FnMut(u32) -> bool) {
         let length = (1.0 + offset * offset).sqrt();
         let mut pass =
             |i: usize| !self.nearby.may_intersect(i, p, direction, width / length) || visit(self.nearby.items[i]);

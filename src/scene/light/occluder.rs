@@ -10,7 +10,7 @@ use glam::DVec3;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 /// One occluder on an interval of a ray: an instance or a level of the far field.
-pub struct Occluder<'a> {
+pub(crate) struct Occluder<'a> {
     pub instance: &'a Instance,
     pub field: &'a dyn Field,
     /// Its box, scene space.
@@ -26,7 +26,7 @@ pub struct Occluder<'a> {
 
 impl<'a> Occluder<'a> {
     /// The first hit of a ray in field space, at `from` or later. All positions are in scene units.
-    pub fn hit_in_field(
+    pub(crate) fn hit_in_field(
         &self,
         (origin, direction): (DVec3, DVec3),
         from: f64,
@@ -66,7 +66,7 @@ impl<'a> Occluder<'a> {
     }
 
     /// Whether a cone may touch the occluder, by the ball around its surface.
-    pub fn may_meet(&self, place: &SurfacePoint, ray: &LightRay, slope: f32) -> bool {
+    pub(crate) fn may_meet(&self, place: &SurfacePoint, ray: &LightRay, slope: f32) -> bool {
         let Occluder { instance, field, .. } = *self;
         let (origin, direction) = ray_in_field(instance, self.is_own, place, ray);
         let [lower, upper] = field.surface_bounds();
@@ -80,7 +80,7 @@ impl<'a> Occluder<'a> {
 
 /// The instances that may block a light from neighbouring surfaces.
 #[derive(Debug)]
-pub struct NearList {
+pub(crate) struct NearList {
     /// Near instances first.
     items: Vec<u32>,
     /// The instance that blocked a ray last, which likely blocks the next one; `u32::MAX` before.
@@ -89,25 +89,25 @@ pub struct NearList {
 
 impl NearList {
     /// `items` has near instances first.
-    pub fn new(items: Vec<u32>) -> Self {
+    pub(crate) fn new(items: Vec<u32>) -> Self {
         Self { items, last: AtomicU32::new(u32::MAX) }
     }
 
     /// The instances in the order in which a ray visits them. The order has no effect on its result: the first one is
     /// visited early only if it blocked all of a ray, and all others keep their order.
-    pub fn for_ray(&self) -> impl Iterator<Item = u32> {
+    pub(crate) fn for_ray(&self) -> impl Iterator<Item = u32> {
         let last = self.last.load(Ordering::Relaxed);
         let first = Some(last).filter(|last| *last != u32::MAX);
         first.into_iter().chain(self.items.iter().copied().filter(move |item| *item != last))
     }
 
     /// The instances in the order in which a cone visits them: their results are added up in the order of the list.
-    pub fn for_cone(&self) -> impl Iterator<Item = u32> {
+    pub(crate) fn for_cone(&self) -> impl Iterator<Item = u32> {
         self.items.iter().copied()
     }
 
     /// Stores that an instance blocked all of a ray.
-    pub fn set_last(&self, item: u32) {
+    pub(crate) fn set_last(&self, item: u32) {
         self.last.store(item, Ordering::Relaxed);
     }
 }

@@ -63,7 +63,7 @@ const SHARED: f32 = 0.25;
 
 /// The instances that may occlude a place, with the positions of their balls relative to it.
 #[derive(Debug, Default)]
-pub struct Occluders {
+pub(crate) struct Occluders {
     /// Centre and radius of the last search.
     around: Option<(Vec3, f32)>,
     /// The instances that it found.
@@ -222,7 +222,7 @@ fn take_nearest(waiting: &mut [ConeOccluder]) -> Option<ConeOccluder> {
 
 impl Casters<'_> {
     /// Fraction of the hemisphere above a place that no occluder within `distance`, scene units, covers.
-    pub fn open_share(
+    pub(crate) fn open_share(
         &self,
         place: &SurfacePoint,
         distance: f64,
@@ -245,7 +245,7 @@ impl Casters<'_> {
     ///
     /// A cone ends at `distance` with the radius `slope distance`. So it meets no surface beyond
     /// `distance (1 + slope)`, and no surface below the lowest point of the balls about the axes of the ring.
-    pub fn gather(&self, place: &SurfacePoint, distance: f64, occluders: &mut Occluders) {
+    pub(crate) fn gather(&self, place: &SurfacePoint, distance: f64, occluders: &mut Occluders) {
         let Scene { tree, instances, .. } = self.scene;
         let p = place.p.as_vec3();
         let reach = distance as f32 * (1.0 + AO_SLOPE) * (1.0 + ROUNDING);
@@ -269,7 +269,7 @@ impl Casters<'_> {
 
     /// Fraction of the section of a cone of slope [`AO_SLOPE`] that passes the occluders of its place, if edges in it
     /// are straight.
-    pub fn wide_share(
+    pub(crate) fn wide_share(
         &self,
         place: &SurfacePoint,
         ray: &LightRay,

@@ -1,12 +1,10 @@
-//! Occlusion by sheets: open, flat and alpha-textured meshes, whose triangles are intersected by rays.
+//! Cones past sheets: open, flat, thin and alpha-textured meshes, whose triangles are intersected by rays.
 //!
 //! # Theory
 //!
-//! A distance field on a grid cannot represent objects thinner than a voxel, and a thicker sheet shades itself. Light
-//! and occlusion therefore trace the triangles of a sheet in float64 ([`crate::bvh::rays::cast`]), with the opacity of
-//! the material at each hit: 1 for opaque faces, 0 or 1 for a mask, the texture's for a blend. A ray keeps the product
-//! of the transmitted fractions of its crossings. Faces that a ray crosses at the same depth count once, as they do for
-//! the camera.
+//! A distance field on a grid cannot represent objects thinner than a voxel, and a thicker sheet shades itself. Cones
+//! of light and occlusion past a sheet are therefore sampled by thin rays, which trace triangles
+//! ([`super::mesh_rays`]).
 //!
 //! A cone is sampled by [`CONE_RAYS`] rays spread evenly over its section, and a light's disc by [`PARTS`] such cones.
 //! Before that, [`RIM_RAYS`] rays on the rim and [`PROBE_RAYS`] inside it decide discs that are completely lit or dark:
@@ -19,19 +17,17 @@
 //!
 //! Sheets are evaluated on the CPU for pictures of every device, so their shadows do not depend on it.
 
-use super::light_hits::LEAST_OPACITY;
 use super::light_rays::{LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
 use super::lit_surface::{Lights, LitSurface};
+use super::mesh_rays::is_skipped;
 use super::occlusion::AO_SLOPE;
-use crate::bvh::rays::watertight;
-use crate::bvh::rays::watertight::FaceHit;
+use super::shadow::Casters;
 use crate::scene::content::instance::Instance;
 use crate::scene::content::model::Scene;
 use crate::scene::content::options::{RenderOptions, SceneShadows};
 use crate::scene::content::sheets::Sheets;
 use crate::scene::content::tree::Line;
-use crate::scene::visibility::appearance::FaceAppearance;
-use glam::{DVec3, Vec2};
+use glam::Vec2;
 
 /// Number of rays of a cone. A light's disc has [`PARTS`] cones, so 64 rays.
 const CONE_RAYS: u32 = 4;
@@ -41,25 +37,16 @@ const RIM_RAYS: u32 = 16;
 /// Number of rays inside the disc for the same test.
 const PROBE_RAYS: u32 = 8;
 
-/// Distance of the start of a ray from its own surface, relative to the size of the mesh. Float32 vertices of coplanar
-/// faces differ by a sixteenth of it.
-const LIFT: f64 = 1e-6;
-
-/// Difference of depths within which two crossings count as one, in scene units and relative.
-const SAME_DEPTH: f64 = 1e-9;
-
-/// Number of translucent crossings of one mesh that are compared by depth.
-const CROSSINGS: usize = 16;
-
 impl Sheets {
     /// The sheets whose boxes a cone of radius `slope t` touches, without the own sheet if it cannot occlude the place.
-    fn near(&self, place: &SurfacePoint, ray: &LightRay, slope: f32) -> Vec<u32> {
+    fn near(&self, instances: &[Instance], place: &SurfacePoint, ray: &LightRay, slope: f32) -> Vec<u32> {
         let mut found = Vec::new();
         if let Some(tree) = &self.tree {
             let line = Line::cone(place.p.as_vec3(), ray.direction.as_vec3(), slope);
             tree.walk(&line, ray.t_max as f32, |item, limit| {
                 let instance = self.instances[item as usize];
-                if instance != place.own || !(place.skips_own || self.is_flat[item as usize]) {
+                let triangles = instances[instance as usize].casting_triangles();
+                if triangles.is_some_and(|triangles| !is_skipped(instance, triangles, place)) {
                     found.push(instance);
                 }
                 limit
@@ -70,20 +57,12 @@ impl Sheets {
 }
 
 impl Scene {
-    /// Fraction of a thin ray that passes the sheets.
-    pub fn ray_past_sheets(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
-        if self.sheets.is_empty() {
-            return 1.0;
-        }
-        self.ray_past(&self.sheets.near(place, ray, 0.0), place, ray, work)
-    }
-
     /// Mean fraction of a cone's section that passes the sheets.
     pub fn cone_past_sheets(&self, place: &SurfacePoint, ray: &LightRay, slope: f32, work: &mut LightWork) -> f32 {
         if self.sheets.is_empty() {
             return 1.0;
         }
-        let met = self.sheets.near(place, ray, slope);
+        let met = self.sheets.near(&self.instances, place, ray, slope);
         if met.is_empty() { 1.0 } else { self.cone_past(&met, place, ray, slope, work) }
     }
 
@@ -100,7 +79,7 @@ impl Scene {
         if self.sheets.is_empty() {
             return parts;
         }
-        let met = self.sheets.near(place, ray, slope);
+        let met = self.sheets.near(&self.instances, place, ray, slope);
         if met.is_empty() {
             return parts;
         }
@@ -121,8 +100,40 @@ impl Scene {
         parts
     }
 
-    /// Fractions of a light that pass the sheets: one for each of its [`PARTS`], or a single one for a point.
-    pub fn light_past_sheets(
+    fn cone_past(&self, met: &[u32], place: &SurfacePoint, ray: &LightRay, slope: f32, work: &mut LightWork) -> f32 {
+        let axes = basis(ray.direction);
+        let to = |i: u32| toward(ray, axes, slope, disc_point(i, CONE_RAYS, 0.0));
+        (0..CONE_RAYS).map(|i| self.ray_past(met, place, &to(i), work)).sum::<f32>() / CONE_RAYS as f32
+    }
+
+    fn ray_past(&self, met: &[u32], place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
+        let mut share = 1.0;
+        for &item in met {
+            let Some(triangles) = self.instances[item as usize].casting_triangles() else { continue };
+            work.steps += 1;
+            share *= self.past_mesh(item, triangles, place, ray, [0.0, ray.t_max]);
+            if share <= 0.0 {
+                break;
+            }
+        }
+        share
+    }
+}
+
+impl Casters<'_> {
+    /// Whether triangles may block the light of a picture. The CPU traces them for all devices.
+    pub(crate) fn needs_faces(&self, lights: &Lights, options: &RenderOptions) -> bool {
+        let has_rays = match options.shadows {
+            SceneShadows::Hard | SceneShadows::Area(_) => true,
+            SceneShadows::Soft => lights.lights.iter().any(|light| !light.has_size()),
+            SceneShadows::None => false,
+        };
+        !self.scene.sheets.is_empty() || (has_rays && self.scene.has_faces)
+    }
+
+    /// Fractions of a light that pass triangles: for a disc one for each of its [`PARTS`] past the sheets, for a point
+    /// a single one past all meshes.
+    pub(crate) fn light_past_faces(
         &self,
         place: &SurfacePoint,
         ray: &LightRay,
@@ -130,15 +141,15 @@ impl Scene {
         work: &mut LightWork,
     ) -> Vec<f32> {
         if slope > 0.0 {
-            self.disc_past_sheets(place, ray, slope, work).to_vec()
+            self.scene.disc_past_sheets(place, ray, slope, work).to_vec()
         } else {
-            vec![self.ray_past_sheets(place, ray, work)]
+            vec![self.face_share(place, ray, work)]
         }
     }
 
-    /// All fractions of the sheets that the light pass needs at a surface: first each cone of occlusion, then for each
+    /// All fractions past triangles that the light pass needs at a surface: first each cone of occlusion, then for each
     /// evaluated light one fraction (hard), [`PARTS`] (soft) or one per ray (area).
-    pub fn sheets_at(
+    pub(crate) fn faces_at(
         &self,
         surface: &LitSurface<'_>,
         lights: &Lights,
@@ -147,8 +158,8 @@ impl Scene {
         let (mut shares, mut work) = (Vec::new(), LightWork::default());
         let place = &surface.place;
         if let Some(distance) = options.occlusion {
-            for (ray, _) in place.open_rays(distance / self.scale) {
-                shares.push(self.cone_past_sheets(place, &ray, AO_SLOPE, &mut work));
+            for (ray, _) in place.open_rays(distance / self.scene.scale) {
+                shares.push(self.scene.cone_past_sheets(place, &ray, AO_SLOPE, &mut work));
             }
         }
         for light in &lights.lights {
@@ -156,99 +167,12 @@ impl Scene {
             if !surface.needs_rays(&ray, options) {
                 continue;
             }
-            match options.shadows {
-                SceneShadows::Soft => shares.extend(self.light_past_sheets(place, &ray, slope, &mut work)),
-                SceneShadows::Area(count) if slope > 0.0 => {
-                    let axes = basis(ray.direction);
-                    shares.extend((0..count).map(|i| {
-                        let to_point = toward(&ray, axes, slope, disc_point(i, count, surface.turn));
-                        self.ray_past_sheets(place, &to_point, &mut work)
-                    }));
-                }
-                _ => shares.push(self.ray_past_sheets(place, &ray, &mut work)),
+            let is_soft = options.shadows == SceneShadows::Soft;
+            for (way, slope) in surface.ways(&ray, slope, options.shadows) {
+                let slope = if is_soft { slope } else { 0.0 };
+                shares.extend(self.light_past_faces(place, &way, slope, &mut work));
             }
         }
         (shares, work)
     }
-
-    fn cone_past(&self, met: &[u32], place: &SurfacePoint, ray: &LightRay, slope: f32, work: &mut LightWork) -> f32 {
-        let axes = basis(ray.direction);
-        let to = |i: u32| toward(ray, axes, slope, disc_point(i, CONE_RAYS, 0.0));
-        (0..CONE_RAYS).map(|i| self.ray_past(met, place, &to(i), work)).sum::<f32>() / CONE_RAYS as f32
-    }
-
-    fn ray_past(&self, met: &[u32], place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
-        let start = self.lifted(place, ray);
-        let mut share = 1.0;
-        for &item in met {
-            work.steps += 1;
-            share *= self.instance_share(&self.instances[item as usize], start, ray);
-            if share <= 0.0 {
-                break;
-            }
-        }
-        share
-    }
-
-    /// The nearest face on a thin ray that blocks at least [`LEAST_OPACITY`] of the light, with the instance that it
-    /// belongs to.
-    pub fn first_face(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> Option<(u32, FaceHit)> {
-        let mut nearest: Option<(u32, FaceHit)> = None;
-        let start = self.lifted(place, ray);
-        for item in self.sheets.near(place, ray, 0.0) {
-            work.steps += 1;
-            let instance = &self.instances[item as usize];
-            let Some(triangles) = instance.triangles.as_deref() else { continue };
-            let t_max = nearest.map_or(ray.t_max, |(_, hit)| hit.t);
-            let hit = triangles.mesh.first_hit(&ray_in_tree(instance, start, ray, t_max), |hit| {
-                instance.opacity
-                    * FaceAppearance::new(self, instance, triangles, hit.face, hit.weights).opacity(hit.is_front)
-                    >= LEAST_OPACITY
-            });
-            nearest = hit.map(|hit| (item, hit)).or(nearest);
-        }
-        nearest
-    }
-
-    /// Start of a ray: slightly off its own surface, on the side to which it goes.
-    fn lifted(&self, place: &SurfacePoint, ray: &LightRay) -> DVec3 {
-        let normal = place.normal.as_dvec3();
-        place.p + self.lift(place).copysign(normal.dot(ray.direction)) * normal
-    }
-
-    /// Distance of the start of a ray from its own surface, scene units.
-    pub(crate) fn lift(&self, place: &SurfacePoint) -> f64 {
-        let own = &self.instances[place.own as usize];
-        own.triangles.as_ref().map_or(0.0, |triangles| LIFT * triangles.mesh.scale() * f64::from(own.stretch[1]))
-    }
-
-    /// Fraction of a ray that one sheet lets pass.
-    fn instance_share(&self, instance: &Instance, start: DVec3, ray: &LightRay) -> f32 {
-        let Some(triangles) = instance.triangles.as_deref() else { return 1.0 };
-        let in_tree = ray_in_tree(instance, start, ray, ray.t_max);
-        let mut share = 1.0;
-        let mut depths = [0.0; CROSSINGS];
-        let mut crossings = 0;
-        triangles.mesh.first_hit(&in_tree, |hit| {
-            let opacity = instance.opacity
-                * FaceAppearance::new(self, instance, triangles, hit.face, hit.weights).opacity(hit.is_front);
-            let is_same = |depth: &f64| (hit.t - depth).abs() <= SAME_DEPTH * (1.0 + hit.t);
-            if opacity > 0.0 && !depths[..crossings].iter().any(is_same) {
-                share *= 1.0 - opacity;
-                if crossings < CROSSINGS {
-                    depths[crossings] = hit.t;
-                    crossings += 1;
-                }
-            }
-            share <= 0.0
-        });
-        share
-    }
-}
-
-/// A ray from `start` in the space of the tree of an instance.
-fn ray_in_tree(instance: &Instance, start: DVec3, ray: &LightRay, t_max: f64) -> watertight::Ray {
-    let origin = instance.tree_from_scene.transform_point3(start);
-    let direction = instance.tree_from_scene.matrix3 * ray.direction;
-    watertight::Ray { origin, direction, t_min: 0.0, t_max }
 }

@@ -16,17 +16,23 @@ pub(crate) const THIN_RAYS: usize = 8;
 
 /// Transmitted fractions of the rays of a cone.
 #[derive(Debug, Clone, Copy)]
-pub struct RayBundle {
+pub(crate) struct RayBundle {
     shares: [f32; THIN_RAYS],
     /// Whether an object was near enough to be tested.
     pub is_tested: bool,
 }
 
 impl RayBundle {
-    pub const NEW: Self = Self { shares: [1.0; THIN_RAYS], is_tested: false };
+    pub(crate) const NEW: Self = Self { shares: [1.0; THIN_RAYS], is_tested: false };
 
     /// Multiplies the rays that hit an object of an opacity by its transmitted fraction.
-    pub fn block(&mut self, opacity: f32, ray: &LightRay, slope: f32, mut is_hit: impl FnMut(&LightRay) -> bool) {
+    pub(crate) fn block(
+        &mut self,
+        opacity: f32,
+        ray: &LightRay,
+        slope: f32,
+        mut is_hit: impl FnMut(&LightRay) -> bool,
+    ) {
         self.is_tested = true;
         let axes = basis(ray.direction);
         for (i, share) in self.shares.iter_mut().enumerate() {
@@ -37,7 +43,7 @@ impl RayBundle {
     }
 
     /// Mean of the transmitted fractions.
-    pub fn share(&self) -> f32 {
+    pub(crate) fn share(&self) -> f32 {
         self.shares.iter().sum::<f32>() / THIN_RAYS as f32
     }
 }

@@ -2,9 +2,9 @@
 //!
 //! # Theory
 //!
-//! *Hard.* A ray from the surface to the light searches the tree of instances. In each field it is traced exactly
-//! ([`crate::march::marcher`]), so neither an epsilon nor a step count decides. Translucent instances block their
-//! fraction.
+//! *Hard.* A ray from the surface to the light searches the tree of instances. It intersects the triangles of a mesh
+//! ([`super::mesh_rays`]), and in the field of any other object it is traced exactly ([`crate::march::marcher`]). So
+//! neither an epsilon nor a step count decides. Translucent instances block their fraction.
 //!
 //! *Soft.* As seen from the surface, a light is a disc of angular radius `w`. Suppose the edge of an occluder passes
 //! the centre of the disc at the signed angle `x w`, and is straight over the disc. Then the fraction
@@ -46,33 +46,46 @@ use crate::scene::fields::field::FieldHit;
 /// The occluders of a picture: the instances of a scene and, past a distance, one far field for all of them
 /// ([`super::far_field`]).
 #[derive(Clone, Copy)]
-pub struct Casters<'a> {
+pub(crate) struct Casters<'a> {
     pub scene: &'a Scene,
     pub far: Option<&'a Far>,
     /// The instances that may block the light that is evaluated; `None` if all may.
     pub near: Option<&'a NearList>,
 }
 
-impl<'a> Casters<'a> {
-    /// Fraction of a thin ray that passes fields and sheets.
-    pub fn ray_share(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
-        let past_sheets = self.scene.ray_past_sheets(place, ray, work);
-        if past_sheets == 0.0 {
-            return 0.0;
-        }
-        past_sheets * self.field_share(place, ray, work)
-    }
+/// The objects that a search along a ray tests.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Blocking {
+    All,
+    /// The triangles of meshes.
+    Faces,
+    /// The fields of all objects but meshes.
+    Fields,
+}
 
-    /// Fraction of a thin ray that passes the fields.
-    pub fn field_share(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
-        let (share, is_far) = self.pass_ray(place, ray, work);
+impl<'a> Casters<'a> {
+    /// Fraction of a thin ray that passes the triangles of meshes, and the fields of all other objects.
+    pub(crate) fn ray_share(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
+        let (share, is_far) = self.pass_ray(place, ray, Blocking::All, work);
         work.count(is_far);
         share
     }
 
+    /// Fraction of a thin ray that passes the fields of all objects but meshes.
+    pub(crate) fn field_share(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
+        let (share, is_far) = self.pass_ray(place, ray, Blocking::Fields, work);
+        work.count(is_far);
+        share
+    }
+
+    /// Fraction of a thin ray that passes the triangles of meshes.
+    pub(crate) fn face_share(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
+        self.pass_ray(place, ray, Blocking::Faces, work).0
+    }
+
     /// Decides whether a cone is completely lit or dark. Only then the result is proven, and its fraction is exact.
     /// `met` becomes the list of instances in the cone.
-    pub fn whole_cone(&self, cone: LightCone<'_>, met: &mut Vec<u32>, work: &mut LightWork) -> ConeShare {
+    pub(crate) fn whole_cone(&self, cone: LightCone<'_>, met: &mut Vec<u32>, work: &mut LightWork) -> ConeShare {
         let LightCone { place, ray, slope } = cone;
         met.clear();
         let split = self.split(place, ray, slope);
@@ -123,7 +136,7 @@ impl<'a> Casters<'a> {
 
     /// Adds the far field to the results of a cone; `wide` is set for a cone of occlusion. Returns whether the far
     /// field was evaluated.
-    pub fn add_far(
+    pub(crate) fn add_far(
         &self,
         split: &Split,
         cone: LightCone<'_>,
@@ -146,7 +159,7 @@ impl<'a> Casters<'a> {
 
     /// Adds one occluder to the results of a cone; `wide` is set for a cone of occlusion. Returns the result for this
     /// occluder. For an occluder that is tested by thin rays, returns only whether the cone may touch it.
-    pub fn add_cone(
+    pub(crate) fn add_cone(
         &self,
         caster: &Occluder<'_>,
         cone: LightCone<'_>,
@@ -204,7 +217,7 @@ impl<'a> Casters<'a> {
     }
 
     /// Fraction of a disc of light that passes fields and sheets: angular radius `slope`, `ray` to its centre.
-    pub fn disc_share(&self, place: &SurfacePoint, ray: &LightRay, slope: f32, work: &mut LightWork) -> f32 {
+    pub(crate) fn disc_share(&self, place: &SurfacePoint, ray: &LightRay, slope: f32, work: &mut LightWork) -> f32 {
         if slope <= 0.0 {
             return self.ray_share(place, ray, work);
         }
@@ -231,7 +244,7 @@ impl<'a> Casters<'a> {
     }
 
     /// The instances whose boxes a cone touches.
-    pub fn instances_in(&self, cone: LightCone<'_>) -> Vec<u32> {
+    pub(crate) fn instances_in(&self, cone: LightCone<'_>) -> Vec<u32> {
         let mut met = Vec::new();
         self.walk(cone, &self.split(cone.place, cone.ray, cone.slope), |item, limit| {
             met.push(item);
@@ -241,7 +254,7 @@ impl<'a> Casters<'a> {
     }
 
     /// Fraction of a narrow cone's section that passes some instances and the far field.
-    pub fn cone_share(&self, cone: LightCone<'_>, met: &[u32], work: &mut LightWork) -> f32 {
+    pub(crate) fn cone_share(&self, cone: LightCone<'_>, met: &[u32], work: &mut LightWork) -> f32 {
         let split = self.split(cone.place, cone.ray, cone.slope);
         let mut sum = ConeSum::NEW;
         for &item in met {
@@ -259,7 +272,7 @@ impl<'a> Casters<'a> {
     }
 
     /// [`Self::disc_share`] by `count` thin rays.
-    pub fn area_share(
+    pub(crate) fn area_share(
         &self,
         place: &SurfacePoint,
         ray: &LightRay,
@@ -280,43 +293,55 @@ impl<'a> Casters<'a> {
     }
 
     /// Fraction of a thin ray, and whether it entered the far field.
-    fn pass_ray(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> (f32, bool) {
+    fn pass_ray(&self, place: &SurfacePoint, ray: &LightRay, blocking: Blocking, work: &mut LightWork) -> (f32, bool) {
         let split = self.split(place, ray, 0.0);
         let mut share = 1.0;
         self.walk(LightCone { place, ray, slope: 0.0 }, &split, |item, limit| {
-            for caster in self.casters(item, place, ray, &split) {
-                work.steps += 1;
-                if self.hit_of(&caster, place, ray, work).is_some() {
-                    share *= 1.0 - caster.instance.shade;
-                    if let Some(near) = self.near.filter(|_| caster.instance.shade >= 1.0) {
-                        near.set_last(item);
-                    }
-                    break;
-                }
+            let instance = &self.scene.instances[item as usize];
+            let passes = match instance.casting_triangles() {
+                Some(_) if blocking == Blocking::Fields => 1.0,
+                Some(triangles) => self.past_faces(item, triangles, place, ray, &split, work),
+                None if blocking == Blocking::Faces => 1.0,
+                None => self.past_field(item, place, ray, &split, work),
+            };
+            share *= passes;
+            if let Some(near) = self.near.filter(|_| passes <= 0.0) {
+                near.set_last(item);
             }
             if share > 0.0 { limit } else { -1.0 }
         });
-        let is_far = split.far.is_some() && share > 0.0;
+        let is_far = split.far.is_some() && share > 0.0 && blocking != Blocking::Faces;
         if is_far && self.far_casters(&split, place, ray).any(|far| self.hit_of(&far, place, ray, work).is_some()) {
             share = 0.0;
         }
         (share, is_far)
     }
 
+    /// Fraction of a thin ray that passes the field of an instance.
+    fn past_field(&self, item: u32, place: &SurfacePoint, ray: &LightRay, split: &Split, work: &mut LightWork) -> f32 {
+        for caster in self.casters(item, place, ray, split) {
+            work.steps += 1;
+            if self.hit_of(&caster, place, ray, work).is_some() {
+                return 1.0 - caster.instance.shade;
+            }
+        }
+        1.0
+    }
+
     /// The intervals of a ray or cone for the instances and for the far field.
-    pub fn split(&self, place: &SurfacePoint, ray: &LightRay, slope: f32) -> Split {
+    pub(crate) fn split(&self, place: &SurfacePoint, ray: &LightRay, slope: f32) -> Split {
         let far = self.far.filter(|_| !place.skips_own);
         far.map_or(Split::near(ray.t_max), |far| far.split(place, ray, slope))
     }
 
     /// Length of the search through the instances.
-    pub fn reach(&self, split: &Split, ray: &LightRay) -> f32 {
+    pub(crate) fn reach(&self, split: &Split, ray: &LightRay) -> f32 {
         let is_near = split.rest.is_none() && self.far.is_none_or(|far| far.holds_all);
         (if is_near { split.near } else { ray.t_max }) as f32
     }
 
     /// An instance on the intervals of a ray in which it is evaluated.
-    pub fn casters(
+    pub(crate) fn casters(
         &self,
         item: u32,
         place: &SurfacePoint,
@@ -326,12 +351,10 @@ impl<'a> Casters<'a> {
         let instance = &self.scene.instances[item as usize];
         let casts = !instance.is_sheet && instance.casts_shadow && instance.shade > 0.0;
         let field = instance.field.as_deref().filter(|_| casts);
-        // A field of distances contains opaque solids only.
-        let (near, rest) = if instance.is_opaque_solid() { (split.near, split.rest) } else { (ray.t_max, None) };
         let bounds = &self.scene.boxes[item as usize];
         let is_own = item == place.own;
         let field = field.filter(|_| !(is_own && place.skips_own));
-        let parts = [Some([0.0, near]), rest.map(|rest| [rest, ray.t_max])].into_iter().flatten();
+        let parts = split.parts(instance, ray.t_max);
         parts.filter_map(move |part| Some(Occluder { instance, field: field?, bounds, part, is_own, skip: 0.0 }))
     }
 
@@ -357,7 +380,7 @@ impl<'a> Casters<'a> {
     }
 
     /// The first hit of a ray with an occluder at `from` or later, scene units.
-    pub fn hit_from(
+    pub(crate) fn hit_from(
         &self,
         caster: &Occluder<'_>,
         place: &SurfacePoint,

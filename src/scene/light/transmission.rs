@@ -57,7 +57,7 @@ pub(crate) fn weight(cosine: f32) -> f32 {
 }
 
 /// The ray through a surface's own field along which its length inside is measured.
-pub struct InsideRay {
+pub(crate) struct InsideRay {
     /// Start at the entrance to the box of the surface, field space. The direction has the length of one scene unit.
     pub ray: FieldRay,
     /// End in the box, scene units from the ray's start.
@@ -70,7 +70,7 @@ pub struct InsideRay {
 
 impl Casters<'_> {
     /// Length of a ray from a visible point inside the point's own instance, scene units; 0 without a field.
-    pub fn length_inside(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
+    pub(crate) fn length_inside(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
         if let Some(chord) = self.chord(place, ray) {
             return chord;
         }
@@ -94,7 +94,7 @@ impl Casters<'_> {
     }
 
     /// The length in closed form; `None` if the field has none.
-    pub fn chord(&self, place: &SurfacePoint, ray: &LightRay) -> Option<f32> {
+    pub(crate) fn chord(&self, place: &SurfacePoint, ray: &LightRay) -> Option<f32> {
         let instance = &self.scene.instances[place.own as usize];
         let field = instance.field.as_deref()?;
         let (origin, direction) = ray_in_field(instance, false, place, ray);
@@ -104,7 +104,7 @@ impl Casters<'_> {
     }
 
     /// The ray along which a length inside is measured; `None` if it misses the box of the surface.
-    pub fn inside_ray(&self, place: &SurfacePoint, ray: &LightRay) -> Option<InsideRay> {
+    pub(crate) fn inside_ray(&self, place: &SurfacePoint, ray: &LightRay) -> Option<InsideRay> {
         let instance = &self.scene.instances[place.own as usize];
         let field = instance.field.as_deref()?;
         let enters = place.normal.dot(ray.direction.as_vec3()) < 0.0;

@@ -63,12 +63,12 @@ fn light_bunch(
         row.is_known[i] = true;
     }
     let beams = behind.iter().map(|behind| beam(&behind.place, &behind.ray, behind.slope)).collect();
-    let past_sheets = past_sheets(pass, &behind, |Behind { place, ray, slope, .. }| {
+    let past_faces = past_faces(pass, &behind, |Behind { place, ray, slope, .. }| {
         let mut work = LightWork::default();
-        let shares = pass.casters.scene.light_past_sheets(place, ray, *slope, &mut work);
+        let shares = pass.casters.light_past_faces(place, ray, *slope, &mut work);
         (shares, work)
     })?;
-    let mut shares = Batch::run(pass, device, beams, past_sheets)?;
+    let mut shares = Batch::run(pass, device, beams, past_faces)?;
     for (Behind { light, left, .. }, (y, i)) in behind.into_iter().zip(owners) {
         let mut work = LightWork::default();
         let visible = shares.next(&mut work).ok_or_else(|| too_few(device))?;
@@ -92,23 +92,19 @@ struct Batch {
     beams: std::iter::Zip<std::vec::IntoIter<Beam>, std::vec::IntoIter<Answer>>,
     /// The narrow cones of discs for which one cone was not sufficient.
     parts: std::vec::IntoIter<Answer>,
-    /// Fractions past the sheets, which the CPU evaluates: one for each ray and cone of occlusion, and one for each
-    /// part of a disc. Empty in scenes without sheets.
-    past_sheets: std::vec::IntoIter<f32>,
+    /// Fractions past triangles, which the CPU traces: one for each ray and cone of occlusion, and one for each part of
+    /// a disc. Empty if no triangles block the light.
+    past_faces: std::vec::IntoIter<f32>,
 }
 
 impl Batch {
-    fn run(pass: &Pass<'_>, device: &DeviceScene, beams: Vec<Beam>, past_sheets: Vec<f32>) -> Result<Self, Error> {
+    fn run(pass: &Pass<'_>, device: &DeviceScene, beams: Vec<Beam>, past_faces: Vec<f32>) -> Result<Self, Error> {
         let has_wide = pass.options.occlusion.is_some();
         let first = device.shares(pass.casters, has_wide, &beams, pass.progress)?;
         let undecided = beams.iter().zip(&first).filter(|(beam, answer)| is_undecided(beam, answer));
         let parts: Vec<Beam> = undecided.flat_map(|(beam, _)| parts_of_disc(beam)).collect();
         let second = device.shares(pass.casters, has_wide, &parts, pass.progress)?;
-        Ok(Self {
-            beams: beams.into_iter().zip(first),
-            parts: second.into_iter(),
-            past_sheets: past_sheets.into_iter(),
-        })
+        Ok(Self { beams: beams.into_iter().zip(first), parts: second.into_iter(), past_faces: past_faces.into_iter() })
     }
 
     /// The fraction of the next beam, and its work; `None` if there are no more results.
@@ -116,18 +112,18 @@ impl Batch {
         let (beam, answer) = self.beams.next()?;
         *work += work_of(&answer);
         let count = if is_disc(&beam) { PARTS as usize } else { 1 };
-        let mut past_sheets = [1.0; PARTS as usize];
-        for (share, found) in past_sheets[..count].iter_mut().zip(self.past_sheets.by_ref()) {
+        let mut past_faces = [1.0; PARTS as usize];
+        for (share, found) in past_faces[..count].iter_mut().zip(self.past_faces.by_ref()) {
             *share = found;
         }
         if !is_undecided(&beam, &answer) {
-            return Some(answer.value * past_sheets[..count].iter().sum::<f32>() / count as f32);
+            return Some(answer.value * past_faces[..count].iter().sum::<f32>() / count as f32);
         }
         let mut sum = 0.0;
-        for past_sheets in past_sheets {
+        for past_faces in past_faces {
             let part = self.parts.next()?;
             *work += work_of(&part);
-            sum += part.value * past_sheets;
+            sum += part.value * past_faces;
         }
         Some(sum / PARTS as f32)
     }
@@ -159,10 +155,9 @@ impl DeviceResults {
             first_beams(pass, surface, &mut beams, &mut inside);
         }
         let lengths = device.thicknesses(&inside, pass.progress)?;
-        let past_sheets = past_sheets(pass, bunch, |(_, _, surface)| {
-            pass.casters.scene.sheets_at(surface, pass.lights, pass.options)
-        })?;
-        Ok(Self { direct: Batch::run(pass, device, beams, past_sheets)?, lengths: lengths.into_iter() })
+        let past_faces =
+            past_faces(pass, bunch, |(_, _, surface)| pass.casters.faces_at(surface, pass.lights, pass.options))?;
+        Ok(Self { direct: Batch::run(pass, device, beams, past_faces)?, lengths: lengths.into_iter() })
     }
 
     /// Stores the results for the next surface in `found` and returns their work; `None` if there are no more results.
@@ -229,13 +224,13 @@ struct Behind {
     slope: f32,
 }
 
-/// Fractions of all beams of some surfaces past the sheets, in order.
-fn past_sheets<T: Sync>(
+/// Fractions of all beams of some surfaces past triangles, in order.
+fn past_faces<T: Sync>(
     pass: &Pass<'_>,
     items: &[T],
     shares: impl Fn(&T) -> (Vec<f32>, LightWork) + Sync,
 ) -> Result<Vec<f32>, Error> {
-    if pass.casters.scene.sheets.is_empty() {
+    if !pass.casters.needs_faces(pass.lights, pass.options) {
         return Ok(Vec::new());
     }
     let found = items

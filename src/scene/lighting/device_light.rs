@@ -169,7 +169,7 @@ fn take(
     })
 }
 
-/// The light on a surface; None if an answer is missing. The CPU evaluates sheets. Where they cover some of the parts
+/// The light on a surface; None if an answer is missing. The CPU traces triangles. Where sheets cover some of the parts
 /// of a divided disc, the fractions of the parts are missing.
 fn take_pixel(
     pass: &Pass<'_>,
@@ -177,24 +177,24 @@ fn take_pixel(
     answers: &mut std::slice::Iter<'_, Answer>,
     values: &mut [f32],
 ) -> Option<LightWork> {
-    let scene = pass.casters.scene;
-    let (past_sheets, mut work) = if scene.sheets.is_empty() {
-        (Vec::new(), LightWork::default())
+    let needs_faces = pass.casters.needs_faces(pass.lights, pass.options);
+    let (past_faces, mut work) = if needs_faces {
+        pass.casters.faces_at(surface, pass.lights, pass.options)
     } else {
-        scene.sheets_at(surface, pass.lights, pass.options)
+        (Vec::new(), LightWork::default())
     };
-    let mut past_sheets = past_sheets.into_iter();
-    // The product of an answer and the mean of the next `count` fractions past the sheets.
+    let mut past_faces = past_faces.into_iter();
+    // The product of an answer and the mean of the next `count` fractions past triangles.
     let mut value = |answer: &Answer, count: u32| {
         if answer.is_complete != 1 {
             return None;
         }
         work += work_of(answer);
         work.rays += if answer.is_proven == DIVIDED { PARTS } else { 0 };
-        if scene.sheets.is_empty() {
+        if !needs_faces {
             return Some(answer.value);
         }
-        let fractions: Vec<f32> = past_sheets.by_ref().take(count as usize).collect();
+        let fractions: Vec<f32> = past_faces.by_ref().take(count as usize).collect();
         if answer.is_proven == DIVIDED && fractions.iter().any(|&fraction| fraction != fractions[0]) {
             return None;
         }

@@ -121,7 +121,8 @@ fn occluders_of(pass: &Pass<'_>, center: DVec3, radius: f64, own: u32, light: &S
 /// Whether distances prove that a truncated cone does not touch the surface of an instance.
 fn is_free(scene: &Scene, item: u32, center: DVec3, ray: &LightRay, radius: f32, slope: f32) -> bool {
     let instance: &Instance = &scene.instances[item as usize];
-    let Some(field) = instance.field.as_deref().filter(|field| field.is_lipschitz()) else { return false };
+    let field = instance.field.as_deref().filter(|field| !instance.is_sheet && field.is_lipschitz());
+    let Some(field) = field else { return false };
     let origin = instance.field_from_scene.transform_point3(center);
     let direction = instance.field_from_scene.matrix3 * ray.direction;
     let [lower, upper] = field.surface_bounds();

@@ -5,7 +5,7 @@ use glam::{DVec3, Vec3, Vec4};
 
 /// A surface visible in a pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Layer {
+pub(crate) struct Layer {
     pub x: u32,
     pub instance: u32,
     pub material: u32,
@@ -17,6 +17,8 @@ pub struct Layer {
     pub color: Vec4,
     /// Linear RGB that the surface emits.
     pub emission: Vec3,
+    /// Offset to the smooth surface above a face, in units of the mesh's tree; zero for a field.
+    pub to_smooth: Vec3,
     /// Whether the hit is a triangle, not a field.
     pub is_triangle: bool,
     /// Whether the device that drew the picture has the surface too.
@@ -26,7 +28,7 @@ pub struct Layer {
 /// The visible surfaces of a picture, by rows from the top. A row has the layers of its pixels in order, those of one
 /// pixel from front to back.
 #[derive(Debug)]
-pub struct GBuffer {
+pub(crate) struct GBuffer {
     pub rows: Vec<Vec<Layer>>,
     /// Number of steps of each pixel.
     pub steps: Vec<Vec<u32>>,
@@ -37,7 +39,7 @@ pub struct GBuffer {
 
 /// The camera in float64, with the position in a pixel that its rays pass through.
 #[derive(Debug, Clone, Copy)]
-pub struct View {
+pub(crate) struct View {
     pub camera: Camera,
     pub size: [u32; 2],
     pub offset: [f64; 2],
@@ -46,21 +48,21 @@ pub struct View {
 impl View {
     /// World position at which a pixel's ray starts, at depth 0.
     #[inline]
-    pub fn start(&self, x: u32, y: u32) -> DVec3 {
+    pub(crate) fn start(&self, x: u32, y: u32) -> DVec3 {
         let start = self.camera.pixel_start(x, y, self.size);
         if self.camera.is_parallel() { start + self.aside() } else { start }
     }
 
     /// World direction of a pixel's ray; multiples of it are depths.
     #[inline]
-    pub fn direction(&self, x: u32, y: u32) -> DVec3 {
+    pub(crate) fn direction(&self, x: u32, y: u32) -> DVec3 {
         let direction = self.camera.pixel_direction(x, y, self.size);
         if self.camera.is_parallel() { direction } else { direction + self.aside() }
     }
 
     /// World position at a depth on a pixel's ray.
     #[inline]
-    pub fn position(&self, x: u32, y: u32, depth: f64) -> DVec3 {
+    pub(crate) fn position(&self, x: u32, y: u32, depth: f64) -> DVec3 {
         self.start(x, y) + depth * self.direction(x, y)
     }
 
@@ -73,14 +75,14 @@ impl View {
 
     /// Side of a pixel at a depth, world units.
     #[inline]
-    pub fn pixel_size_at(&self, depth: f64) -> f64 {
+    pub(crate) fn pixel_size_at(&self, depth: f64) -> f64 {
         self.camera.pixel_size_at(self.size[1], depth)
     }
 }
 
 /// The faces that a device found, in its memory.
 #[derive(Debug)]
-pub struct DeviceSeen {
+pub(crate) struct DeviceSeen {
     /// Four words per pixel, with this number of pixels per row in memory.
     pub pixels: wgpu::Buffer,
     pub stride: u32,

@@ -273,6 +273,7 @@ impl PixelRay<'_> {
             normal,
             color,
             emission: field_emission(material),
+            to_smooth: Vec3::ZERO,
             is_triangle: false,
             is_from_device: false,
         })
@@ -343,6 +344,7 @@ impl MeshRay<'_> {
             normal: look.normal_toward(self.direction.as_vec3(), hit.is_front),
             color,
             emission: look.emission(|| self.pixel(hit)),
+            to_smooth: self.triangles.to_smooth_surface(hit.face, hit.weights, hit.is_front),
             is_triangle: true,
             is_from_device: false,
         }

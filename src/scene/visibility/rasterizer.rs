@@ -460,6 +460,7 @@ mod tests {
             visible: true,
             object: 0,
             is_sheet: true,
+            is_solid: false,
         };
         let turned = |angle: f64| DMat3::from_rotation_x(angle) * DMat3::from_rotation_y(1.0 + angle);
         let mut inputs = vec![

@@ -1,0 +1,157 @@
+//! Thin rays of light past the triangles of meshes.
+//!
+//! # Theory
+//!
+//! A distance field on a grid cannot represent objects thinner than a voxel. Rays to lights and paths of indirect light
+//! therefore trace the triangles of every mesh in float64 ([`crate::bvh::rays::cast`]), so walls of any thickness block
+//! them. Only cones evaluate the fields of meshes.
+//!
+//! A face blocks the fraction that its material blocks at the hit: all for an opaque face, all or nothing for a mask,
+//! the opacity of the texture for a blend. A ray keeps the product of the transmitted fractions of its crossings. Faces
+//! that a ray crosses at the same depth count once, as they do for the camera. A translucent solid of one opacity is
+//! one layer, however many of its faces the ray crosses.
+//!
+//! *Start.* A ray starts off its own surface by a small fraction of the size of the mesh. A mesh with smooth normals
+//! appears curved, but its faces are flat: rays from the faces would show them where the light grazes the surface. So
+//! rays past the own mesh start on the smooth surface
+//! ([`Triangles::to_smooth_surface`](crate::scene::content::triangles::Triangles::to_smooth_surface)). Rays past other
+//! meshes start on the face, so that objects in contact have no gap. The picture of a mesh by its field starts them one
+//! voxel off the field.
+//!
+//! # Practice
+//!
+//! Triangles are traced on the CPU for pictures of every device, so their shadows do not depend on it.
+
+use super::far_field::Split;
+use super::light_rays::{LightRay, LightWork, SurfacePoint};
+use super::shadow::Casters;
+use crate::bvh::rays::watertight;
+use crate::scene::content::instance::Instance;
+use crate::scene::content::model::Scene;
+use crate::scene::content::triangles::Triangles;
+use crate::scene::visibility::appearance::FaceAppearance;
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// Largest distance of a flat mesh from its plane, relative to its size: half the distance at which rays start off
+/// their own surface. Float32 vertices of coplanar faces differ by an eighth of it.
+const FLATNESS: f64 = 5e-7;
+
+/// Distance of the start of a ray from its own surface, relative to the size of the mesh. Float32 vertices of coplanar
+/// faces differ by a sixteenth of it.
+const LIFT: f64 = 1e-6;
+
+/// Difference of depths within which two crossings count as one, in scene units and relative.
+const SAME_DEPTH: f64 = 1e-9;
+
+/// Number of translucent crossings of one mesh that are compared by depth.
+const CROSSINGS: usize = 16;
+
+impl Casters<'_> {
+    /// Fraction of a thin ray that the triangles of an instance let pass.
+    pub(crate) fn past_faces(
+        &self,
+        item: u32,
+        triangles: &Triangles,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        split: &Split,
+        work: &mut LightWork,
+    ) -> f32 {
+        if is_skipped(item, triangles, place) {
+            return 1.0;
+        }
+        work.steps += 1;
+        let mut share = 1.0;
+        for part in split.parts(&self.scene.instances[item as usize], ray.t_max) {
+            share *= self.scene.past_mesh(item, triangles, place, ray, part);
+        }
+        share
+    }
+}
+
+/// Whether the triangles of an instance cannot block light from a place: it is the own instance, and flat or left out.
+pub(crate) fn is_skipped(item: u32, triangles: &Triangles, place: &SurfacePoint) -> bool {
+    item == place.own && (place.skips_own || triangles.is_flat(FLATNESS))
+}
+
+impl Scene {
+    /// Builds what rays read of the meshes that block light. If a tree were built at the first ray, inside a parallel
+    /// loop, a worker could wait for work that is queued behind its own.
+    pub(crate) fn prepare_rays(&self) {
+        let casting: Vec<&Triangles> = self.instances.iter().filter_map(Instance::casting_triangles).collect();
+        for triangles in &casting {
+            triangles.mesh.bvh();
+            triangles.mesh.ray_packs();
+        }
+        casting.par_iter().for_each(|triangles| {
+            triangles.is_flat(FLATNESS);
+        });
+        for item in self.instances.iter().filter(|instance| instance.is_sheet) {
+            if let Some(triangles) = item.casting_triangles() {
+                triangles.mesh.topology();
+            }
+        }
+    }
+
+    /// Fraction of a part of a ray that the triangles of an instance let pass.
+    pub(crate) fn past_mesh(
+        &self,
+        item: u32,
+        triangles: &Triangles,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        part: [f64; 2],
+    ) -> f32 {
+        let instance = &self.instances[item as usize];
+        let in_tree = self.ray_in_tree(item, place, ray, part);
+        if let Some(shade) = instance.face_shade {
+            return if triangles.mesh.is_occluded(&in_tree) { 1.0 - shade } else { 1.0 };
+        }
+        let mut share = 1.0;
+        let mut depths = [0.0; CROSSINGS];
+        let mut crossings = 0;
+        triangles.mesh.first_hit(&in_tree, |hit| {
+            let opacity = instance.opacity
+                * FaceAppearance::new(self, instance, triangles, hit.face, hit.weights).opacity(hit.is_front);
+            let is_same = |depth: &f64| (hit.t - depth).abs() <= SAME_DEPTH * (1.0 + hit.t);
+            if opacity > 0.0 && !depths[..crossings].iter().any(is_same) {
+                share *= 1.0 - opacity;
+                if crossings < CROSSINGS {
+                    depths[crossings] = hit.t;
+                    crossings += 1;
+                }
+            }
+            share <= 0.0
+        });
+        share
+    }
+
+    /// A part of a ray in the space of the tree of an instance, from the start off its own surface.
+    pub(crate) fn ray_in_tree(
+        &self,
+        item: u32,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        [t_min, t_max]: [f64; 2],
+    ) -> watertight::Ray {
+        let instance = &self.instances[item as usize];
+        let mut origin = instance.tree_from_scene.transform_point3(self.lifted(place, ray));
+        if item == place.own {
+            origin += place.lift.as_dvec3();
+        }
+        watertight::Ray { origin, direction: instance.tree_from_scene.matrix3 * ray.direction, t_min, t_max }
+    }
+
+    /// Start of a ray: slightly off its own surface, on the side to which it goes.
+    fn lifted(&self, place: &SurfacePoint, ray: &LightRay) -> DVec3 {
+        let normal = place.normal.as_dvec3();
+        place.p + self.lift(place).copysign(normal.dot(ray.direction)) * normal
+    }
+
+    /// Distance of the start of a ray from its own surface, scene units.
+    pub(crate) fn lift(&self, place: &SurfacePoint) -> f64 {
+        let own = &self.instances[place.own as usize];
+        own.triangles.as_ref().map_or(0.0, |triangles| LIFT * triangles.mesh.scale() * f64::from(own.stretch[1]))
+    }
+}
