@@ -145,6 +145,35 @@ def test_emissive_surfaces_light_a_floor_by_their_form_factor(name):
     assert np.abs(relative).mean() <= 0.04 * share(x).mean()
 
 
+def lit_floor(lamp, paths):
+    """The reflected light of a lamp on a floor, (h, w)."""
+    floor = fb.Instance(plane(4, 0), material=fb.Material(color=(1, 1, 1), specular=0))
+    glow = fb.Instance(lamp, material=fb.Material(emission=(1, 1, 1), color=(0, 0, 0)), visible=False)
+    scene = fb.Scene([floor, glow], [], ambient=0)
+    return fb.render(scene, ABOVE, size=(40, 40), bounces=1, bounce_samples=paths, device="cpu").color[..., 0]
+
+
+#: Emissive objects without faces, and meshes of the same form.
+LAMPS = {
+    "shape": lambda: (fb.sphere(0.15).translate((0, 1, 0)), meshes.icosphere(3, 0.15, (0, 1, 0))),
+    "quadric": lambda: (fb.Quadric.sphere((0, 1, 0), 0.15), meshes.icosphere(3, 0.15, (0, 1, 0))),
+    "volume": lambda: (fb.bake(fb.sphere(0.15).translate((0, 1, 0)), 32), meshes.icosphere(3, 0.15, (0, 1, 0))),
+    "tube": lambda: (fb.box((2, 0.1, 0.1)).translate((0, 1, 0)), meshes.box((-1, 0.95, -0.05), (1, 1.05, 0.05))),
+}
+
+
+@pytest.mark.parametrize("name", LAMPS)
+def test_lamps_without_faces_have_no_more_noise_than_meshes_of_the_same_form(name):
+    lamp, (vertices, faces) = LAMPS[name]()
+    mesh = fb.Mesh(vertices, faces)
+    truth = lit_floor(mesh, 8192)
+    errors = [(lit_floor(one, 256) - truth) / truth.mean() for one in (lamp, mesh)]
+    noise, of_mesh = (np.sqrt(np.mean(error**2)) for error in errors)
+
+    assert abs(errors[0].mean()) <= 0.02
+    assert noise <= 1.3 * of_mesh
+
+
 @pytest.mark.parametrize("side", [4.0, 400.0])
 def test_a_sheet_near_a_large_floor_lights_it_by_its_form_factor(side):
     above = np.array([(-1, 2, -1), (1, 2, -1), (1, 2, 1), (-1, 2, 1)]) / 4

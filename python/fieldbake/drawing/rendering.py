@@ -319,12 +319,12 @@ def render(scene: Any, camera: Camera | None = None, **options: Unpack[RenderOpt
     cones divide the disc of the light.
 
     With `bounces`, ``ambient * open`` is the mean of the light that arrives along `bounce_samples` cosine-weighted
-    directions. A path continues at the first instance that casts shadows and whose opacity is at least 1/2. It
-    collects emission there, and the light of the lights as with ``shadows="hard"``. Each vertex of a path also has one
-    point on the emissive faces of meshes; the balance heuristic combines both techniques. Surfaces of an opacity below
-    1/2 and instances without shadows light nothing. Paths ignore highlights and scattering. Surroundings given as an
-    image are smoothed as described for :class:`Scene`. In a closed room, 256 paths differ from a path tracer by 2 % in
-    the mean.
+    directions. A path continues at the first instance that casts shadows and whose opacity is at least 1/2. It collects
+    emission there, and the light of the lights as with ``shadows="hard"``. Each vertex of a path also has one direction
+    to an emitter: to a point on an emissive face of a mesh, or into the box of another emissive object. The balance
+    heuristic combines both techniques. Surfaces of an opacity below 1/2 and instances without shadows light nothing.
+    Paths ignore highlights and scattering. Surroundings given as an image are smoothed as described for :class:`Scene`.
+    In a closed room, 256 paths differ from a path tracer by 2 % in the mean.
 
     Hard and ``"area"`` shadows and `bounces` trace the triangles of meshes, on the CPU for pictures of every device.
     Soft shadows and occlusion evaluate distance fields, except for open sheets, for flat and thin meshes and for meshes

@@ -1,4 +1,20 @@
-//! The emissive faces of a scene as area lights: random points on them, and their density.
+//! The emissive surfaces of a scene as area lights: random directions to them, and their density.
+//!
+//! # Theory
+//!
+//! Points on the faces of emissive meshes are drawn in proportion to area and brightness. A shape, a volume or a
+//! quadric has no faces. Its surface lies in a box, so points on the sides of that box are drawn instead, and the
+//! object emits where the ray through the point hits it. From a place outside, at most three sides face the place, and
+//! each ray into the box enters through one of them. Seen from the place at the distance `d` from its centre, a side of
+//! the area `A` covers about `A cos / d^2`, so the sides are selected in proportion to that. The density per steradian
+//! of a direction that enters through side `k` at the distance `t` is
+//!
+//! ```text
+//!   p_k t^2 / (A_k cos)
+//! ```
+//!
+//! Directions at random and directions to emitters are combined by the balance heuristic (Veach and Guibas, *Optimally
+//! combining sampling techniques for Monte Carlo rendering*, SIGGRAPH 1995). No value exceeds the emission.
 
 use super::light_hits::{LEAST_OPACITY, LightHit};
 use super::light_rays::{LightRay, LightWork, SurfacePoint};
@@ -10,8 +26,9 @@ use crate::scene::content::instance::Instance;
 use crate::scene::content::material::Material;
 use crate::scene::content::model::Scene;
 use crate::scene::content::triangles::Triangles;
-use crate::scene::visibility::appearance::FaceAppearance;
-use glam::{DAffine3, DVec3, Vec3};
+use crate::scene::fields::field::Field;
+use crate::scene::visibility::appearance::{FaceAppearance, field_emission};
+use glam::{DAffine3, DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 use std::f64::consts::PI;
 use std::ops::Range;
@@ -24,21 +41,33 @@ const BATCH: usize = 1 << 14;
 /// Remedy for a table of faces that does not fit.
 const ADVICE: &str = "emit light from fewer instances or faces, or leave out bounces=";
 
-/// A face that emits light.
+/// A face or an object without faces that emits light.
 #[derive(Clone, Copy)]
 struct Emitter {
     instance: u32,
+    /// [`WHOLE`] for an object without faces.
     face: u32,
-    /// Sum of area times brightness of this face and all before it, scene units.
+    /// Sum of area times brightness of this emitter and all before it, scene units.
     end: f64,
 }
 
-/// The emissive faces of meshes that cast shadows. Points on them are drawn in proportion to area and brightness.
+/// Stands for the face of an object without faces.
+const WHOLE: u32 = u32::MAX;
+
+/// The emitters of an instance.
+enum Lamp {
+    Nothing,
+    Faces,
+    /// An object in a box, and the fraction of the directions that are drawn to it.
+    Boxed(Box<LampBox>, f64),
+}
+
+/// The emissive surfaces that cast shadows.
 #[derive(Default)]
 pub(crate) struct Emitters {
-    faces: Vec<Emitter>,
-    /// Whether the faces of each instance are among them.
-    has_instance: Vec<bool>,
+    list: Vec<Emitter>,
+    /// One for each instance.
+    lamps: Vec<Lamp>,
 }
 
 /// Brightness of a material by its factor of emission: the mean of the channels.
@@ -57,6 +86,86 @@ impl PlacedFace {
     fn new(triangles: &Triangles, face: u32, scene_from_tree: DAffine3) -> Self {
         let [a, b, c] = triangles.mesh.triangle(face).map(|p| scene_from_tree.transform_point3(p));
         Self { corner: a, edges: [b - a, c - a], cross: (b - a).cross(c - a) }
+    }
+}
+
+/// The box of an emissive object in scene space, in which it is a parallelepiped.
+struct LampBox {
+    corner: DVec3,
+    edges: [DVec3; 3],
+    /// Vectors across each pair of opposite sides, of the length of their area, along the edge between them.
+    areas: [DVec3; 3],
+}
+
+/// The sides of a box that face a place.
+struct FacingSides<'a> {
+    of: &'a LampBox,
+    /// For each pair of sides: the corner of the one that faces the place, its outward area vector, and the fraction of
+    /// the directions that are drawn to it, which is 0 if none of the pair faces the place.
+    sides: [(DVec3, DVec3, f64); 3],
+}
+
+impl LampBox {
+    fn new(instance: &Instance, field: &dyn Field) -> Self {
+        let [lower, upper] = field.surface_bounds().map(|corner| corner.as_dvec3());
+        let scene_from_field = instance.field_from_scene.inverse();
+        let m = scene_from_field.matrix3 * DMat3::from_diagonal(upper - lower);
+        let edges = [m.x_axis, m.y_axis, m.z_axis];
+        let areas = std::array::from_fn(|k| {
+            let across = edges[(k + 1) % 3].cross(edges[(k + 2) % 3]);
+            across * across.dot(edges[k]).signum()
+        });
+        Self { corner: scene_from_field.transform_point3(lower), edges, areas }
+    }
+
+    /// The area of three sides, no two of them opposite.
+    fn area(&self) -> f64 {
+        self.areas.iter().map(|area| area.length()).sum()
+    }
+
+    /// The sides that face a place; None if the place is inside.
+    fn facing(&self, p: DVec3) -> Option<FacingSides<'_>> {
+        let mut sides = std::array::from_fn(|k| {
+            let (corner, area) = (self.corner, self.areas[k]);
+            let (corner, area) = if (p - corner).dot(area) > area.dot(self.edges[k]) {
+                (corner + self.edges[k], area)
+            } else {
+                (corner, -area)
+            };
+            let height = (p - corner).dot(area);
+            let middle = corner + 0.5 * (self.edges[(k + 1) % 3] + self.edges[(k + 2) % 3]);
+            let seen = height / (middle - p).length().powi(3);
+            (corner, area, if height > 0.0 { seen.min(2.0 * PI) } else { 0.0 })
+        });
+        let total: f64 = sides.iter().map(|(.., seen)| seen).sum();
+        sides.iter_mut().for_each(|(.., seen)| *seen /= total);
+        (total > 0.0 && total.is_finite()).then_some(FacingSides { of: self, sides })
+    }
+}
+
+impl FacingSides<'_> {
+    /// A unit direction from the place into the box. The two values of `at`, from 0 to 1, select it.
+    fn direction(&self, p: DVec3, at: [f64; 2]) -> DVec3 {
+        let (mut k, mut start) = (0, 0.0);
+        while k < 2 && at[0] >= start + self.sides[k].2 {
+            start += self.sides[k].2;
+            k += 1;
+        }
+        let (corner, _, share) = self.sides[k];
+        let along = if share > 0.0 { ((at[0] - start) / share).clamp(0.0, 1.0) } else { 0.5 };
+        let point = corner + along * self.of.edges[(k + 1) % 3] + at[1] * self.of.edges[(k + 2) % 3];
+        (point - p).normalize()
+    }
+
+    /// Density of a unit direction from the place that enters the box, per steradian.
+    fn density(&self, p: DVec3, direction: DVec3) -> f64 {
+        // The ray enters through the last of the planes that it crosses from outside.
+        let enter = |(corner, area, share): &(DVec3, DVec3, f64)| {
+            let toward = -area.dot(direction);
+            let t = (p - *corner).dot(*area) / toward;
+            (*share > 0.0 && toward > 0.0).then(|| (t, share * t * t / toward))
+        };
+        self.sides.iter().filter_map(enter).max_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |(_, density)| density)
     }
 }
 
@@ -80,23 +189,39 @@ impl Emitters {
                 Ok(weights(scene, item, faces))
             })
             .collect::<Result<Vec<_>, Error>>()?;
-        let mut faces = batches.concat();
-        let mut has_instance = vec![false; scene.instances.len()];
-        let mut sum = 0.0;
-        for face in &mut faces {
-            has_instance[face.instance as usize] = true;
-            sum += face.end;
-            face.end = sum;
+        let mut list = batches.concat();
+        let mut lamps: Vec<Lamp> = scene.instances.iter().map(|_| Lamp::Nothing).collect();
+        for face in &list {
+            lamps[face.instance as usize] = Lamp::Faces;
         }
-        Ok(Self { faces, has_instance })
+        for (item, instance) in scene.instances.iter().enumerate() {
+            let Some((field, brightness)) = emissive_object(scene, instance) else { continue };
+            let around = LampBox::new(instance, field);
+            let end = around.area() * brightness;
+            if end > 0.0 && end.is_finite() {
+                list.push(Emitter { instance: item as u32, face: WHOLE, end });
+                lamps[item] = Lamp::Boxed(Box::new(around), end);
+            }
+        }
+        let mut sum = 0.0;
+        for emitter in &mut list {
+            sum += emitter.end;
+            emitter.end = sum;
+        }
+        for lamp in &mut lamps {
+            if let Lamp::Boxed(_, share) = lamp {
+                *share /= sum;
+            }
+        }
+        Ok(Self { list, lamps })
     }
 
     pub(crate) fn is_empty(&self) -> bool {
-        self.faces.is_empty()
+        self.list.is_empty()
     }
 
     fn total(&self) -> f64 {
-        self.faces.last().map_or(0.0, |face| face.end)
+        self.list.last().map_or(0.0, |emitter| emitter.end)
     }
 
     /// Weight of the emission of a hit that a path found by a cosine-weighted direction. Points drawn on the emitters
@@ -108,19 +233,23 @@ impl Emitters {
         ray: &LightRay,
         hit: &LightHit,
     ) -> f32 {
-        if !self.has_instance[hit.place.own as usize] {
-            return 1.0;
-        }
-        let per_area = brightness(&scene.materials[hit.material as usize]) / self.total();
-        let cosine = -hit.place.normal.as_dvec3().dot(ray.direction);
-        balance(density_of_direction(place, ray), per_area * hit.t * hit.t / cosine.max(f64::MIN_POSITIVE))
+        let drawn = match &self.lamps[hit.place.own as usize] {
+            Lamp::Nothing => return 1.0,
+            Lamp::Faces => {
+                let per_area = brightness(&scene.materials[hit.material as usize]) / self.total();
+                let cosine = -hit.place.normal.as_dvec3().dot(ray.direction);
+                per_area * hit.t * hit.t / cosine.max(f64::MIN_POSITIVE)
+            }
+            Lamp::Boxed(around, share) => {
+                let Some(sides) = around.facing(place.p) else { return 1.0 };
+                share * sides.density(place.p, ray.direction)
+            }
+        };
+        balance(density_of_direction(place, ray), drawn)
     }
 
-    /// The light of one point on the emitters that a white surface reflects, RGB. The two values of `at`, from 0 to 1,
-    /// select the point.
-    ///
-    /// Directions and points are combined by the balance heuristic (Veach and Guibas, *Optimally combining sampling
-    /// techniques for Monte Carlo rendering*, SIGGRAPH 1995). No value exceeds the emission.
+    /// The light of one direction to the emitters that a white surface reflects, RGB. The two values of `at`, from 0 to
+    /// 1, select the direction.
     pub(crate) fn light(
         &self,
         casters: &Casters<'_>,
@@ -129,10 +258,14 @@ impl Emitters {
         work: &mut LightWork,
     ) -> Vec3 {
         let target = at[0] * self.total();
-        let i = self.faces.partition_point(|face| face.end <= target).min(self.faces.len() - 1);
-        let emitter = &self.faces[i];
-        let start = if i == 0 { 0.0 } else { self.faces[i - 1].end };
-        let u = ((target - start) / (emitter.end - start)).clamp(0.0, 1.0).sqrt();
+        let i = self.list.partition_point(|emitter| emitter.end <= target).min(self.list.len() - 1);
+        let emitter = &self.list[i];
+        let start = if i == 0 { 0.0 } else { self.list[i - 1].end };
+        let along = ((target - start) / (emitter.end - start)).clamp(0.0, 1.0);
+        if let Lamp::Boxed(around, share) = &self.lamps[emitter.instance as usize] {
+            return light_of_object(casters, place, emitter.instance, (around, *share), [along, at[1]], work);
+        }
+        let u = along.sqrt();
         let weights = [1.0 - u, u * (1.0 - at[1]), u * at[1]];
         let scene = casters.scene;
         let instance = &scene.instances[emitter.instance as usize];
@@ -165,6 +298,35 @@ impl Emitters {
         let per_area = brightness(face.material()) / self.total();
         face.emission(|| 0.0) * balance(arrives, per_area * t * t / cosine)
     }
+}
+
+/// The light of a direction into the box of an object that a white surface reflects, RGB; see [`Emitters::light`].
+fn light_of_object(
+    casters: &Casters<'_>,
+    place: &SurfacePoint,
+    item: u32,
+    (around, share): (&LampBox, f64),
+    at: [f64; 2],
+    work: &mut LightWork,
+) -> Vec3 {
+    let Some(sides) = around.facing(place.p) else { return Vec3::ZERO };
+    let ray = LightRay { direction: sides.direction(place.p, at), t_max: f64::INFINITY };
+    let arrives = density_of_direction(place, &ray);
+    if arrives <= 0.0 {
+        return Vec3::ZERO;
+    }
+    match casters.first_surface(place, &ray, work).filter(|hit| hit.place.own == item) {
+        Some(hit) => hit.emission * balance(arrives, share * sides.density(place.p, ray.direction)),
+        None => Vec3::ZERO,
+    }
+}
+
+/// The field and the brightness of an object without faces that emits light.
+fn emissive_object<'a>(scene: &Scene, instance: &'a Instance) -> Option<(&'a dyn Field, f64)> {
+    let material = &scene.materials[instance.first_material as usize];
+    let brightness = if field_emission(material) == Vec3::ZERO { 0.0 } else { brightness(material) };
+    let is_found = instance.triangles.is_none() && instance.casts_shadow && instance.shade >= LEAST_OPACITY;
+    instance.field.as_deref().filter(|_| is_found && brightness > 0.0).map(|field| (field, brightness))
 }
 
 /// The mesh of an instance, if its faces may emit light.
