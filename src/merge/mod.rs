@@ -3,10 +3,10 @@
 //! # Theory
 //!
 //! The method is the coarse aggregate of *Signed Distance Fields in Unity* (a blog post), with two changes. First, the
-//! article's value outside a volume, the distance to the box plus the value at the nearest point of the box, is an upper
-//! bound on the distance, so rays pass through objects. Here each field gives a proven lower bound ([`placed`]), and the
-//! minimum of lower bounds is a lower bound on the distance to the union. Second, the loop over all volumes for every
-//! cell is replaced by a tree over their boxes.
+//! article's value outside a volume, the distance to the box plus the value at the nearest point of the box, is an
+//! upper bound on the distance, so rays pass through objects. Here each field gives a proven lower bound ([`placed`]),
+//! and the minimum of lower bounds is a lower bound on the distance to the union. Second, the loop over all volumes
+//! for every cell is replaced by a tree over their boxes.
 //!
 //! Samples are computed in blocks of 4^3. A block searches the tree from near to far. The search ends at the largest
 //! value of its samples so far. A skipped field lies in a box that is farther away than the value of every sample, and

@@ -22,7 +22,7 @@ use crate::memory::require_for;
 use crate::picture::{Camera, Frame};
 use crate::progress::Progress;
 use crate::scene::content::model::Scene;
-use crate::scene::content::options::{MAX_BOUNCES, MAX_LIGHTS, Primary, RenderOptions};
+use crate::scene::content::options::{MAX_BOUNCES, MAX_LIGHTS, Primary, RenderOptions, SceneShadows};
 use crate::scene::device::device_scene::DeviceScene;
 use crate::scene::light::bounces::Bounces;
 use crate::scene::light::far_field::Far;
