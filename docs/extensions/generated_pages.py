@@ -1,4 +1,4 @@
-"""Pages that come from other files: the documents at the root of the repository, and the help of the command line."""
+"""Pages that come from other files: documents of the repository's root, the table of all files, the command line."""
 
 from __future__ import annotations
 
@@ -17,6 +17,9 @@ ROOT = DOCS.parent
 
 #: Documents of the root that are pages of the site.
 DOCUMENTS = ("ARCHITECTURE", "CHANGELOG", "CONTRIBUTING")
+
+#: Folders of the source and the ending of their files.
+SOURCES = {"src": ".rs", "shaders": ".wgsl", "python/fieldbake": ".py", "web/src": ".ts"}
 
 
 def document(name: str) -> str:
@@ -76,12 +79,46 @@ def commands() -> str:
     return "\n".join(lines)
 
 
+#: Mark of a comment at the top of a file, by the ending of the file. A docstring ends with its mark too.
+_MARKS = {".rs": "//!", ".wgsl": "//", ".ts": "//", ".py": '"""'}
+
+
+def first_sentence(path: Path) -> str:
+    """The first sentence of the comment or docstring at the top of a source file; empty if the file has none."""
+    mark = _MARKS[path.suffix]
+    paragraph = []
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines()):
+        text = line.removeprefix(mark).removesuffix('"""').strip()
+        if not text or not (line.startswith(mark) or (path.suffix == ".py" and number)):
+            break
+        paragraph.append(text)
+    return re.split(r"(?<=\.)(?:\s|$)", " ".join(paragraph), maxsplit=1)[0]
+
+
+def files() -> str:
+    """A table for each folder of the source: its files, each with the first sentence of its header."""
+    lines = [
+        "# Files of the source",
+        "",
+        "Each file starts with a comment that states its subject; this page is generated from the first sentences.",
+        "",
+    ]
+    for root, ending in SOURCES.items():
+        found = [path for path in sorted((ROOT / root).rglob(f"*{ending}")) if first_sentence(path)]
+        for folder in sorted({path.parent for path in found}):
+            lines += [f"## {folder.relative_to(ROOT).as_posix()}", "", "| file | contents |", "|---|---|"]
+            lines += [f"| `{path.name}` | {_cell(first_sentence(path))} |" for path in found if path.parent == folder]
+            lines.append("")
+    return "\n".join(lines)
+
+
 def generate(_: Sphinx) -> None:
     """Write the generated pages; unchanged ones keep their time, so that Sphinx does not read them again."""
     folder = DOCS / "generated"
     folder.mkdir(exist_ok=True)
     pages = {name.lower(): document(name) for name in DOCUMENTS if (ROOT / f"{name}.md").exists()}
     pages["command_line"] = commands()
+    pages["files"] = files()
     for name, text in pages.items():
         path = folder / f"{name}.md"
         if not path.exists() or path.read_text(encoding="utf-8") != text:

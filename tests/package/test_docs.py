@@ -68,6 +68,15 @@ def test_code_of_pages_that_are_not_executed_is_python():
             ast.parse(fence)
 
 
+def test_every_source_file_has_a_sentence_for_the_table_of_files():
+    pages = runpy.run_path(str(DOCS / "extensions" / "generated_pages.py"))
+    for root, ending in pages["SOURCES"].items():
+        found = sorted((ROOT / root).rglob(f"*{ending}"))
+        without = [path.relative_to(ROOT) for path in found if not pages["first_sentence"](path).endswith(".")]
+        assert len(found) > 5
+        assert [path for path in without if path.name != "tests.rs"] == []
+
+
 def test_notebooks_are_those_of_the_pages():
     """The notebooks need no run of their own: the fixture `site` executes the same cells in their pages."""
     import nbformat
