@@ -27,6 +27,8 @@ UNIFORM_BOX = 1.1
 #: Largest number of points at which :func:`count_uncertain` evaluates the winding number. The standard error of a share
 #: of 1 % is a tenth of it.
 MOST_TESTED = 1 << 14
+#: Largest error of these winding numbers. A smaller one takes a hundred times as long where a surface has many holes.
+TESTED_ERROR = 0.01
 
 #: A sign is uncertain if the winding number is closer to the middle between two whole numbers than this, as in a bake.
 UNDECIDED = 0.05
@@ -259,7 +261,7 @@ def count_uncertain(mesh: Mesh, points: NDArray[Any], report: Report) -> int:
     if report.closed or report.sign_method != "winding" or not len(points):
         return 0
     tested = points[:: -(-len(points) // MOST_TESTED)]
-    winding = winding_number(mesh, tested, error=1e-3)
+    winding = winding_number(mesh, tested, error=TESTED_ERROR)
     count = int((np.abs(winding - np.round(winding)) > 0.5 - UNDECIDED).sum())
     return round(count * len(points) / len(tested))
 

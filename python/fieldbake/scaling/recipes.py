@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from ..base import checks
 from ..base.errors import ArgumentError, MeshError
-from ..base.report import Report
 from ..meshes.convert import MeshLike, as_mesh
 from ..meshes.mesh import Mesh
 from ..queries.common import Sign
@@ -99,17 +98,15 @@ class Recipe:
 
 def draw(
     recipe: Recipe, mesh: MeshLike, *, seed: int = 0, sign: Sign = "auto", device: str = "auto", **numbers: Any
-) -> tuple[Arrays, Report]:
-    """Draw the arrays of a mesh, with the report of their labels."""
+) -> tuple[Arrays, Drawing]:
+    """Draw the arrays of a mesh. The drawing has the report of their labels."""
     chosen = checked_options(recipe, {"seed": seed, "sign": sign, "device": device, **numbers})
     source = _with_faces(mesh)
     origin, size = _frame_of(recipe, source, chosen)
     moved = source.moved((source.vertices - origin) / size)
     # Samples of edges and offsets of training samples use the seed with other second numbers.
     drawing = Drawing(moved, origin, size, np.random.default_rng([seed, 3]), sign, device)
-    arrays = recipe._rule(drawing, chosen)
-    assert drawing.report is not None
-    return arrays, drawing.report
+    return recipe._rule(drawing, chosen), drawing
 
 
 def paths(recipe: Recipe, folder: Path, stem: str, numbers: Mapping[str, Any]) -> dict[str, Path]:

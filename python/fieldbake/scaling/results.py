@@ -68,7 +68,8 @@ def process(asset: Asset) -> dict[str, Any]:
         report = volume.report
     elif asset.recipe is not None:
         recipe = recipes.checked_recipe(asset.recipe)
-        arrays, report = recipes.draw(recipe, item, **asset.options)
+        arrays, drawing = recipes.draw(recipe, item, **asset.options)
+        report = drawing.report()
         if in_zarr(target):
             _save_group(target, arrays, recipe.arrays)
         else:

@@ -48,7 +48,8 @@ class Drawing:
     random: np.random.Generator
     sign: Sign
     device: str
-    report: Report | None = None
+    #: The points of the labels, and the report of their query.
+    labelled: tuple[Array, Report] | None = None
     warnings: list[str] = field(default_factory=list)
 
     def surface(self, n: int) -> SurfaceSamples:
@@ -82,12 +83,15 @@ class Drawing:
         points = np.concatenate([np.asarray(part, np.float64) for part in stored])
         found = query(self.mesh, points, sign=self.sign, device=self.device, progress=False)
         warn_surface(self.warnings)
-        self.report = replace(
-            found.report,
-            undecided_voxels=count_uncertain(self.mesh, points, found.report),
-            warnings=(*found.report.warnings, *self.warnings),
-        )
+        self.labelled = points, found.report
         return np.split(found.distances, np.cumsum([len(part) for part in stored])[:-1])
+
+    def report(self) -> Report:
+        """The report of the labels. The count of uncertain signs takes longer than the labels of an open mesh."""
+        assert self.labelled is not None
+        points, report = self.labelled
+        uncertain = count_uncertain(self.mesh, points, report)
+        return replace(report, undecided_voxels=uncertain, warnings=(*report.warnings, *self.warnings))
 
     def surface_instead(self, n: int) -> Array:
         """Draw points and normals of the surface where sharp edges were wanted and none exists, (n, 6)."""
