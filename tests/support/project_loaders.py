@@ -45,13 +45,20 @@ def vecset(root: Path, category: str, model: str, random: np.random.Generator, f
     return points, labels.astype(np.float32), surface
 
 
-def hunyuan(folder: Path) -> dict[str, Array]:
-    """The arrays of both files of a model, whose folder has its name."""
-    arrays = {}
-    for kind in ("surface", "sdf"):
-        with np.load(folder / "geo_data" / f"{folder.name}_{kind}.npz") as npz:
-            arrays.update({key: npz[key] for key in npz})
-    return arrays
+def hunyuan(folder: Path, few: int, random: np.random.Generator) -> tuple[Array, dict[str, Array]]:
+    """Rows (2 few, 7) of a model, whose folder has its name, and the arrays of its labels.
+
+    A row has a position, a unit normal, and whether the point is on a crease. No row is drawn twice.
+    """
+    files = {kind: folder / "geo_data" / f"{folder.name}_{kind}.npz" for kind in ("surface", "sdf")}
+    groups = []
+    with np.load(files["surface"]) as npz:
+        for on_crease, key in enumerate(("random_surface", "sharp_surface")):
+            rows = npz[key][random.choice(len(npz[key]), few, replace=False)].astype(np.float32)
+            normals = rows[:, 3:] / np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
+            groups.append(np.column_stack([rows[:, :3], normals, np.full(few, on_crease)]))
+    with np.load(files["sdf"]) as npz:
+        return np.concatenate(groups), dict(npz)
 
 
 def dora(file: Path, near: int = 400_000) -> dict[str, Array]:

@@ -280,7 +280,10 @@ def test_rewritten_loaders_read_the_files(tmp_path, random):
     assert np.abs((half - np.abs(surface)).min(axis=1)).max() <= 1e-6
     assert surface.dtype == np.float32
 
-    found = loaders.hunyuan(tmp_path / "hunyuan" / "two")
+    rows, found = loaders.hunyuan(tmp_path / "hunyuan" / "two", 500, random)
+    assert rows.shape == (1000, 7)
+    assert len(np.unique(rows[:500, :3], axis=0)) > 490
+    assert np.abs(np.linalg.norm(rows[:, 3:6], axis=1) - 1).max() <= 1e-6
     assert found["vol_points"].shape == (1200, 3)
     assert (found["vol_label"] > 0).any()
     assert found["random_near_label"].shape == (1200,)

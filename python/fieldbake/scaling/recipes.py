@@ -342,6 +342,11 @@ _HUNYUAN = _recipe(
         "A vertex belongs to a crease if any of its faces is steep. The code overwrites the cosines of faces that "
         "share a vertex, so its result depends on the order of the faces.",
         "Without creases the arrays for edges hold points of the surface, with a warning; the project fails.",
+        "The README of the tools says that labels are positive outside. The code negates libigl's distances, so labels "
+        "are positive inside.",
+        "The loader, hy3dshape/hy3dshape/data/dit_asl.py at 5e3ec6d, opens the file of the surface only. In the "
+        "configurations it draws up to 30,720 points of each kind without repetition, and n must be at least as large. "
+        "It also needs the pictures of a model in render_cond, which fieldbake does not make.",
     ),
     files={
         "surface": "{stem}/geo_data/{stem}_surface.npz",
