@@ -13,8 +13,9 @@ from . import (
 )
 from ._core import __version__ as __version__
 from .assemblies.assembly import Assembly as Assembly
+from .assemblies.clearances import clearance as clearance
 from .assemblies.joint import Joint as Joint
-from .assemblies.results import AssemblyQuery as AssemblyQuery
+from .assemblies.results import AssemblyQuery as AssemblyQuery, Clearance as Clearance
 from .atlases.atlas import Atlas as Atlas, AtlasEntry as AtlasEntry
 from .atlases.packing import pack as pack
 from .baking.dense import bake as bake

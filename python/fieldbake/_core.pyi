@@ -155,6 +155,25 @@ class Bodies:
         k is the number of configurations times that of points. With ``paired`` the first points are those of the first
         configuration, and k is the number of points.
         """
+    def clearance(
+        self,
+        poses: NDArray[np.float64],
+        pairs: list[tuple[int, int]],
+        *,
+        cutoff: float,
+        relative_tolerance: float,
+        progress: Callable[[float], object] | None = None,
+    ) -> tuple[
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+    ]:
+        """Distances (n,), errors (n,), points of both bodies (n, 3) and normals (n, 3) of pairs of bodies.
+
+        n is the number of configurations times that of pairs.
+        """
     def query(
         self,
         poses: NDArray[np.float64],

@@ -6,7 +6,10 @@
 //!
 //! *Practice.* [`Bodies`] is made once. A configuration is one rigid pose for each body.
 
+pub mod clearance;
 pub mod nearest;
+mod overlap;
+mod separation;
 #[cfg(test)]
 mod tests;
 

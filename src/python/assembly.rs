@@ -5,6 +5,7 @@ use super::csg::Shape;
 use super::error::exception;
 use super::mesh::Mesh;
 use super::run::run;
+use crate::assembly::clearance::{Clearance, Options, clearances};
 use crate::assembly::nearest::{Found, Request, nearest};
 use crate::assembly::{self as core, Geometry, Similarity};
 use crate::csg::parts::closed_form::ClosedForm;
@@ -64,6 +65,44 @@ impl Bodies {
             nearest(&self.0, &request, |found| found.distance, progress)?.column(|&distance| distance)
         })?;
         Ok(column.into_pyarray(py))
+    }
+
+    /// The clearance of pairs of bodies (k, 2) in all configurations: distances (n,), errors (n,), points of the first
+    /// and the second body (n, 3), and normals (n, 3); n = configurations * k.
+    #[pyo3(signature = (poses, pairs, *, cutoff, relative_tolerance, progress=None))]
+    #[expect(clippy::type_complexity, reason = "a tuple of arrays is what Python unpacks")]
+    fn clearance<'py>(
+        &self,
+        py: Python<'py>,
+        poses: Poses<'py>,
+        pairs: Vec<[usize; 2]>,
+        cutoff: f64,
+        relative_tolerance: f64,
+        progress: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<(
+        Bound<'py, PyArray1<f64>>,
+        Bound<'py, PyArray1<f64>>,
+        Bound<'py, PyArray2<f64>>,
+        Bound<'py, PyArray2<f64>>,
+        Bound<'py, PyArray2<f64>>,
+    )> {
+        let wrong = |what: &str| exception(py, "ArgumentError", what.to_owned());
+        let flat = poses.as_slice().ok().filter(|_| poses.shape()[1..] == [4, 4]);
+        let flat = flat.ok_or_else(|| wrong("poses: must be a C-contiguous (k, 4, 4) array"))?;
+        let matrices = flat.as_chunks().0.as_chunks().0;
+        if pairs.iter().flatten().any(|&body| body >= self.0.count()) {
+            return Err(wrong("pairs: must name bodies by their rows"));
+        }
+        let options = Options { cutoff, relative_tolerance };
+        let found = run(py, progress, |progress| clearances(&self.0, matrices, &pairs, &options, progress))?;
+        let rows = |value: fn(&Clearance) -> [f64; 3]| owned_rows(py, found.iter().map(value).collect());
+        Ok((
+            found.iter().map(|row| row.distance).collect::<Vec<_>>().into_pyarray(py),
+            found.iter().map(|row| row.error).collect::<Vec<_>>().into_pyarray(py),
+            rows(|row| row.points[0])?,
+            rows(|row| row.points[1])?,
+            rows(|row| row.normal)?,
+        ))
     }
 
     /// Signed distances (k,), gradients (k, 3), nearest points (k, 3), elements (k,), faces (k,) and weights (k, 3).

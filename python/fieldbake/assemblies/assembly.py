@@ -19,11 +19,12 @@ from ..base.progress import Progress, progress_callback
 from ..base.report import Report
 from ..meshes.mesh import Mesh
 from ..shapes.shape import MESH_RESOLUTION, Shape
+from .clearances import of_pairs, with_environment
 from .geometry import BodyLike, check_rigid, elements_of
 from .joint import Joint
 from .jointed import JointedBodies
 from .mjcf import read_mjcf
-from .results import AssemblyQuery, AssemblyReport, unit_warnings
+from .results import AssemblyQuery, AssemblyReport, Clearance, unit_warnings
 from .urdf import read_urdf
 
 Elements = Literal["collision", "visual"]
@@ -77,7 +78,7 @@ class Assembly(JointedBodies):
         resolution = checks.integer("shape_resolution", shape_resolution, least=4, most=4096)
         made, deviation = {}, 0.0
         for name, body in bodies.items():
-            elements, worst = elements_of(checks.text("bodies", name), body, resolution)
+            elements, worst = elements_of(f"bodies[{checks.text('bodies', name)!r}]", body, resolution)
             made[name] = elements
             deviation = max(deviation, worst)
         self._set_up(made, joints, ignored_pairs, deviation, {})
@@ -288,6 +289,72 @@ class Assembly(JointedBodies):
             distances = self._core_bodies.distance(array, flat, paired=paired, searched=searched, progress=callback)
         self._surface_warnings(searched)
         return distances.reshape(shape)
+
+    def clearance(
+        self,
+        poses: ArrayLike | None = None,
+        *,
+        pairs: Any = None,
+        environment: BodyLike | None = None,
+        cutoff: float = np.inf,
+        relative_tolerance: float = 1e-3,
+        progress: Progress = None,
+    ) -> Clearance:
+        """Compute the distances of pairs of bodies, negative where they overlap.
+
+        Parameters
+        ----------
+        poses : (n, 4, 4) or (b, n, 4, 4), optional
+            Rigid world-from-body poses. The default is `home`.
+        pairs : (k, 2) of int or str, optional
+            The pairs, by rows or names. The default is `pairs`.
+        environment : geometry, or sequence of (geometry, (4, 4) transform), optional
+            Geometry in world space. It adds one pair (i, -1) for each body with geometry.
+        cutoff, relative_tolerance
+            As for :func:`fieldbake.clearance`.
+        progress : bool or callable, optional
+            True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
+
+        Returns
+        -------
+        Clearance
+            Arrays of shape (b, k), or (k,) for poses of shape (n, 4, 4).
+
+        Raises
+        ------
+        ArgumentError
+            For a pose that is not rigid, an unknown body, or an option out of range.
+
+        Warns
+        -----
+        SurfaceWarning
+            As for :meth:`query`.
+
+        Notes
+        -----
+        A negative value is a proven bound of the penetration depth, which saturates where one body contains another;
+        see :func:`fieldbake.clearance`. Bodies of several geometries have the smallest clearance over their geometries.
+
+        Examples
+        --------
+        >>> import fieldbake as fb
+        >>> balls = fb.Assembly({"a": fb.sphere(1), "b": fb.sphere(1).translate((4, 0, 0))})
+        >>> balls.clearance().distances.tolist()
+        [2.0]
+        >>> balls.clearance(environment=fb.plane((0, 0, 1), -1.5)).distances.tolist()
+        [2.0, 0.5, 0.5]
+        """
+        array = self._checked_poses(poses)
+        bodies: list[Any] = list(self._bodies.values())
+        if pairs is None:
+            chosen = [(int(i), int(j)) for i, j in self._pairs]
+        else:
+            listed = checks.items("pairs", pairs, "two bodies")
+            chosen = [self._pair(f"pairs[{i}]", pair) for i, pair in enumerate(listed)]
+        if environment is not None:
+            array = with_environment(bodies, array, chosen, environment, MESH_RESOLUTION)
+        found = of_pairs(bodies, array, chosen, cutoff, relative_tolerance, progress)
+        return found._replace(pairs=np.where(found.pairs == len(self._bodies), -1, found.pairs))
 
     def _request(
         self, points: ArrayLike, poses: ArrayLike | None, bodies: Any, paired: bool

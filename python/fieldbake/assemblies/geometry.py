@@ -78,17 +78,17 @@ def check_rigid(name: str, transforms: NDArray[np.float64], error: type[Error] =
 
 
 def elements_of(
-    name: str, body: BodyLike, resolution: int
+    where: str, body: BodyLike, resolution: int
 ) -> tuple[tuple[tuple[Mesh | Shape, NDArray[np.float64]], ...], float]:
     """The geometries of a body with their transforms, and the largest deviation of converted ones."""
     made, worst = [], 0.0
     for i, (geometry, transform) in enumerate(_listed(body)):
-        where = f"bodies[{name!r}][{i}]"
-        place = checks.frozen(np.eye(4) if transform is None else rigid(where, transform))
+        item = f"{where}[{i}]"
+        place = checks.frozen(np.eye(4) if transform is None else rigid(item, transform))
         try:
             source, deviation = searchable(geometry, resolution)
         except Error as error:
-            raise type(error)(f"{where}: {error}") from error
+            raise type(error)(f"{item}: {error}") from error
         made.append((source, place))
         worst = max(worst, deviation)
     return tuple(made), worst

@@ -43,6 +43,38 @@ class AssemblyQuery(NamedTuple):
     report: Report
 
 
+class Clearance(NamedTuple):
+    """Distances of pairs of bodies, negative where they overlap, with the nearest points.
+
+    Arrays have the shape (b, k) for b configurations and k pairs, and (k,) for one configuration without an axis of its
+    own.
+
+    Examples
+    --------
+    >>> import fieldbake as fb
+    >>> found = fb.clearance(fb.sphere(1), fb.sphere(1).translate((1.5, 0, 0)))
+    >>> found.distances.round(6).tolist(), found.normals.round(6).tolist()
+    ([-0.5], [[-1.0, 0.0, 0.0]])
+    """
+
+    #: Distance of separate bodies; minus the diameter of the largest ball in the overlap of others. Float64, world
+    #: units. Beyond the cutoff it is a lower bound.
+    distances: NDArray[np.float64]
+    #: The nearest points of the surface of the first body, (..., 3) float64, world positions; NaN beyond the cutoff.
+    points_a: NDArray[np.float64]
+    #: The nearest points of the surface of the second body, (..., 3) float64; NaN beyond the cutoff.
+    points_b: NDArray[np.float64]
+    #: Unit vectors from the second body to the first, (..., 3) float64: a motion v_a, v_b of the nearest points changes
+    #: the distance by ``normals . (v_a - v_b)``. NaN beyond the cutoff.
+    normals: NDArray[np.float64]
+    #: The true value lies between ``distances - errors`` and ``distances``. Infinite beyond the cutoff.
+    errors: NDArray[np.float64]
+    #: Rows of the pairs in `Assembly.body_names`, (k, 2) int64; -1 for the environment.
+    pairs: NDArray[np.int64]
+    #: Number of pairs and cost.
+    report: Report
+
+
 @dataclass(frozen=True)
 class AssemblyReport(Rows):
     """The geometry of an assembly.

@@ -1,0 +1,307 @@
+//! The clearance of pairs of bodies: their distance if they are apart, the negative diameter of the largest ball in
+//! their overlap if not.
+//!
+//! The distance from a body is the smallest one over its geometries, so the clearance of two bodies is the smallest one
+//! over pairs of geometries. A pair of meshes, boxes, balls or capsules is compared by triangles ([`separation`]): a
+//! ball is a point with a radius, a capsule a segment with a radius. Other pairs begin with alternating projections,
+//! whose result is exact between convex solids. Overlaps, and pairs without a proof by planes of support, are searched
+//! by branch and bound ([`overlap`]).
+//!
+//! [`separation`]: super::separation
+//! [`overlap`]: super::overlap
+
+use super::overlap::{Solid, minimum, project};
+use super::separation::{TriangleSet, distance};
+use super::{Bodies, Element, Geometry, Similarity};
+use crate::csg::model::token::Token;
+use crate::csg::tree::primitive::Primitive;
+use crate::error::Error;
+use crate::memory::zeroed_rows;
+use crate::progress::Progress;
+use bytemuck::Zeroable;
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// Part of the size of the smaller solid below which a gap is no error of a distance, and the least tolerance.
+const FLOOR: f64 = 1e-9;
+
+/// The clearance of one pair.
+#[derive(Debug, Clone, Copy, Zeroable)]
+pub struct Clearance {
+    /// Negative where the bodies overlap; a lower bound beyond the cutoff.
+    pub distance: f64,
+    /// The true value is at least the distance minus this; infinite beyond the cutoff.
+    pub error: f64,
+    /// The nearest surface points of both bodies, world positions; NaN beyond the cutoff.
+    pub points: [[f64; 3]; 2],
+    /// Unit vector from the second body to the first.
+    pub normal: [f64; 3],
+}
+
+/// Accuracy of a call.
+#[derive(Debug, Clone, Copy)]
+pub struct Options {
+    /// Distances of at least this are replaced by lower bounds.
+    pub cutoff: f64,
+    /// Largest error relative to the depth of an overlap.
+    pub relative_tolerance: f64,
+}
+
+/// The clearance of all pairs in all configurations: pairs first, configuration by configuration. `poses` are
+/// world-from-body, those of all bodies configuration by configuration.
+pub fn clearances(
+    bodies: &Bodies,
+    poses: &[[[f64; 4]; 4]],
+    pairs: &[[usize; 2]],
+    options: &Options,
+    progress: &Progress,
+) -> Result<Vec<Clearance>, Error> {
+    let configurations = poses.len().checked_div(bodies.count).unwrap_or(0);
+    let total = configurations * pairs.len();
+    progress.set_total(total as u64);
+    let sets: Vec<Prepared<'_>> = bodies.elements.par_iter().map(Prepared::new).collect();
+    let mut results: Vec<Clearance> = zeroed_rows("results", total)?;
+    results.par_iter_mut().enumerate().try_for_each(|(row, out)| {
+        let (configuration, [a, b]) = (row / pairs.len(), pairs[row % pairs.len()]);
+        let pose = |body: usize| Similarity::from_rows(&poses[configuration * bodies.count + body], 1.0);
+        *out = of_bodies(&sets, [a, b], [pose(a), pose(b)], options);
+        progress.advance(1)
+    })?;
+    Ok(results)
+}
+
+/// A geometry with the tables of its comparison.
+struct Prepared<'a> {
+    element: &'a Element,
+    /// A box around the surface, in coordinates of the geometry.
+    bounds: Option<[DVec3; 2]>,
+    triangles: Option<(Triangles<'a>, f64)>,
+}
+
+/// Triangles of a mesh, or of a primitive.
+enum Triangles<'a> {
+    Mesh(&'a TriangleSet),
+    Own(TriangleSet),
+}
+
+impl Triangles<'_> {
+    fn set(&self) -> &TriangleSet {
+        match self {
+            Self::Mesh(set) => set,
+            Self::Own(set) => set,
+        }
+    }
+}
+
+impl<'a> Prepared<'a> {
+    fn new(element: &'a Element) -> Self {
+        match &element.geometry {
+            Geometry::Mesh(mesh) => {
+                mesh.bvh();
+                mesh.winding_choice().rule.prepare(mesh);
+                let triangles = Some((Triangles::Mesh(mesh.derived::<TriangleSet>()), 0.0));
+                Self { element, bounds: Some(mesh.bounds()), triangles }
+            }
+            Geometry::Shape(shape) => {
+                let triangles = triangles_of(shape.solid()).map(|(set, radius)| (Triangles::Own(set), radius));
+                Self { element, bounds: shape.solid().bounds().ok(), triangles }
+            }
+        }
+    }
+
+    /// Centre and half sides of a box around the surface in another frame.
+    fn posed_box(&self, place: &Similarity) -> Option<[DVec3; 2]> {
+        let [lower, upper] = self.bounds?;
+        let (center, half) = (place.point(0.5 * (lower + upper)), 0.5 * (upper - lower));
+        let r = place.rotation;
+        let half = r.x_axis.abs() * half.x + r.y_axis.abs() * half.y + r.z_axis.abs() * half.z;
+        Some([center - half, center + half])
+    }
+
+    fn size(&self) -> f64 {
+        self.bounds.map_or(f64::INFINITY, |[lower, upper]| (upper - lower).length())
+    }
+}
+
+/// The triangles and the radius of a box, a ball or a capsule.
+fn triangles_of(solid: &crate::csg::parts::solid::Solid) -> Option<(TriangleSet, f64)> {
+    let model = &solid.model;
+    let ([Token::Leaf(0)], [leaf]) = (&model.tokens[..], &model.leaves[..]) else { return None };
+    let place = &leaf.place;
+    let at = |p: DVec3| place.rotation * (place.scale * p) + place.translation;
+    match leaf.primitive {
+        Primitive::Sphere { radius } => Some((TriangleSet::new(&[[at(DVec3::ZERO); 3]]), place.scale * radius)),
+        Primitive::Capsule { radius, half_height } => {
+            let [low, high] = [-half_height, half_height].map(|z| at(DVec3::new(0.0, 0.0, z)));
+            Some((TriangleSet::new(&[[low, high, high]]), place.scale * radius))
+        }
+        Primitive::Box { half, rounding: 0.0 } => {
+            let corner = |i: usize| {
+                let sign = |axis: usize| if i >> axis & 1 == 0 { -1.0 } else { 1.0 };
+                at(half * DVec3::new(sign(0), sign(1), sign(2)))
+            };
+            let sides = [[0, 2, 3, 1], [0, 1, 5, 4], [0, 4, 6, 2], [1, 3, 7, 5], [2, 6, 7, 3], [4, 5, 7, 6]];
+            let triangles: Vec<_> = sides
+                .iter()
+                .flat_map(|side| {
+                    let [a, b, c, d] = side.map(corner);
+                    [[a, b, c], [a, c, d]]
+                })
+                .collect();
+            Some((TriangleSet::new(&triangles), 0.0))
+        }
+        _ => None,
+    }
+}
+
+/// The clearance of two posed bodies.
+fn of_bodies(sets: &[Prepared<'_>], [a, b]: [usize; 2], poses: [Similarity; 2], options: &Options) -> Clearance {
+    let of = |body: usize| sets.iter().filter(move |set| set.element.body == body);
+    let mut waiting: Vec<(f64, &Prepared<'_>, &Prepared<'_>)> = Vec::new();
+    for first in of(a) {
+        for second in of(b) {
+            let boxes = [
+                first.posed_box(&poses[0].after(&first.element.place)),
+                second.posed_box(&poses[1].after(&second.element.place)),
+            ];
+            let bound = match boxes {
+                [Some(x), Some(y)] => (x[0] - y[1]).max(y[0] - x[1]).max(DVec3::ZERO).length() * (1.0 - 1e-12),
+                _ => 0.0,
+            };
+            waiting.push((bound, first, second));
+        }
+    }
+    waiting.sort_by(|x, y| x.0.total_cmp(&y.0));
+    let far =
+        Clearance { distance: f64::INFINITY, error: f64::INFINITY, points: [[f64::NAN; 3]; 2], normal: [f64::NAN; 3] };
+    let mut best = far;
+    // The smallest proven lower bound over all pairs.
+    let mut least = f64::INFINITY;
+    for (bound, first, second) in waiting {
+        let limit = best.distance.min(options.cutoff);
+        if bound > 0.0 && bound >= limit {
+            least = least.min(bound);
+            continue;
+        }
+        let places = [poses[0].after(&first.element.place), poses[1].after(&second.element.place)];
+        let found = of_elements(first, second, places, limit, options.relative_tolerance);
+        match found {
+            Some(found) => {
+                least = least.min(found.distance - found.error);
+                if found.distance < best.distance {
+                    best = found;
+                }
+            }
+            None => least = least.min(limit),
+        }
+    }
+    if best.distance >= options.cutoff {
+        let distance = least.max(options.cutoff);
+        return Clearance { distance, ..far };
+    }
+    best.error = (best.distance - least).max(0.0);
+    best
+}
+
+/// The clearance of two posed geometries; none if it is certainly at least `limit`.
+fn of_elements(
+    first: &Prepared<'_>,
+    second: &Prepared<'_>,
+    places: [Similarity; 2],
+    limit: f64,
+    relative_tolerance: f64,
+) -> Option<Clearance> {
+    // All is computed in the frame of the first geometry.
+    let back = places[0].rotation.transpose();
+    let place = Similarity {
+        rotation: back * places[1].rotation,
+        translation: back * (places[1].translation - places[0].translation),
+        scale: 1.0,
+    };
+    let here = Similarity { rotation: glam::DMat3::IDENTITY, translation: DVec3::ZERO, scale: 1.0 };
+    let mut solids = [Solid::new(first.element, here), Solid::new(second.element, place)];
+    let floor = FLOOR * first.size().min(second.size()).min(1e30);
+    let done = |distance: f64, error: f64, points: [DVec3; 2], normal: DVec3| {
+        let [p, q] = points.map(|point| places[0].point(point).to_array());
+        Some(Clearance { distance, error, points: [p, q], normal: (places[0].rotation * normal).to_array() })
+    };
+
+    let mut start = None;
+    if let (Some((a, radius_a)), Some((b, radius_b))) = (&first.triangles, &second.triangles) {
+        let (a, b, radii) = (a.set(), b.set(), radius_a + radius_b);
+        let nested = contains_start(&mut solids[1], a, &here, second, &place)
+            || contains_start(&mut solids[0], b, &place, first, &here);
+        if !nested {
+            let (apart, p, q) = distance([a, b], &place, limit + radii)?;
+            let n = (p - q).try_normalize();
+            if let (true, Some(n)) = (apart > radii, n) {
+                return done(apart - radii, 0.0, [p - n * *radius_a, q + n * *radius_b], n);
+            }
+            // Balls and capsules: the largest ball of the overlap lies on the line of the closest points.
+            let is_thin = *radius_a > 0.0 && *radius_b > 0.0;
+            if let (true, Some(n)) = (is_thin && (radius_a - radius_b).abs() <= apart, n) {
+                return done(apart - radii, 0.0, [p - n * *radius_a, q + n * *radius_b], n);
+            }
+            start = Some(0.5 * (p + q));
+        }
+    }
+
+    let boxes = [first.posed_box(&here), second.posed_box(&place)];
+    let middle = |[lower, upper]: [DVec3; 2]| 0.5 * (lower + upper);
+    let start = start.or_else(|| Some(middle(boxes[1].or(boxes[0])?))).unwrap_or(DVec3::ZERO);
+    let [a, b] = &mut solids;
+    let size = first.size().min(second.size()).min(1e30) + start.length();
+    let projected = project(a, b, start, size);
+    if let Some((p, q, apart, lower)) = projected
+        && apart - lower <= floor
+    {
+        return if lower >= limit { None } else { done(apart, apart - lower, [p, q], (p - q) / apart) };
+    }
+    // The minimum lies within its value of both boxes.
+    let reach = match projected {
+        Some((_, _, apart, _)) => 0.5 * apart,
+        None => 0.0,
+    };
+    let grown = boxes.map(|bounds| bounds.map(|[lower, upper]| [lower - reach, upper + reach]));
+    let region = match grown {
+        [Some(x), Some(y)] => [x[0].max(y[0]), x[1].min(y[1])],
+        [Some(x), None] | [None, Some(x)] => x,
+        [None, None] => [start - size, start + size],
+    };
+    let start = projected.map_or_else(|| start.max(region[0]).min(region[1]), |(p, q, _, _)| 0.5 * (p + q));
+    let found = minimum(a, b, region, start, relative_tolerance, 0.5 * floor);
+    let lower = 2.0 * found.lower;
+    if lower >= limit && lower > 0.0 {
+        return None;
+    }
+    if found.upper > 0.0 {
+        // The closest points near the minimum.
+        let (p, q, apart, own) = project(a, b, found.at, size).or(projected).unwrap_or_else(|| {
+            let (p, q) = (a.gradient_and_point(found.at).1, b.gradient_and_point(found.at).1);
+            (p, q, p.distance(q), lower)
+        });
+        let apart = apart.min(2.0 * found.upper);
+        return done(apart, (apart - lower.max(own)).max(0.0), [p, q], (p - q).try_normalize().unwrap_or(DVec3::X));
+    }
+    let ((gradient_a, p), (gradient_b, q)) = (a.gradient_and_point(found.at), b.gradient_and_point(found.at));
+    let normal = (gradient_b - gradient_a).try_normalize().unwrap_or(gradient_b);
+    done(2.0 * found.upper, 2.0 * (found.upper - found.lower), [p, q], normal)
+}
+
+/// Whether a component of a set begins inside a solid. `place` is that of the set, `other` that of the solid.
+fn contains_start(
+    solid: &mut Solid<'_>,
+    set: &TriangleSet,
+    place: &Similarity,
+    prepared: &Prepared<'_>,
+    other: &Similarity,
+) -> bool {
+    set.starts.iter().any(|&start| {
+        let p = place.point(start);
+        let is_near = prepared.element.bounds.is_none_or(|[lower, upper]| {
+            let local = other.inverse_point(p);
+            local.cmpge(lower).all() && local.cmple(upper).all()
+        });
+        is_near && solid.distance(p) < 0.0
+    })
+}

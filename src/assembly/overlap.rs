@@ -1,0 +1,301 @@
+//! The smallest larger distance of two solids: half their clearance, by branch and bound.
+//!
+//! # Theory
+//!
+//! Let a and b be the signed distances of two solids and f = max(a, b). Twice the minimum of f is the clearance. If
+//! the solids are apart, the minimum is half their distance, at the middle of the closest points. If they overlap, its
+//! negative is the radius of the largest ball in the overlap.
+//!
+//! A cell is a box with the centre c and the radius r. Three functions bound f there from below:
+//!
+//! - f(c) - r, because distances are 1-Lipschitz;
+//! - a minorant of a, or of b: a concave function that is smallest at a corner of the cell;
+//! - the mean of two minorants, because max(a, b) >= (a + b) / 2. Where two flat faces are parallel it is constant, and
+//!   no other bound ends the search there. Both may belong to one solid: in a wall that the other solid contains, they
+//!   are the distances from both sides of the wall.
+//!
+//! The minorant of a convex solid is its tangent a(c) + g . (x - c). That of a mesh is the negative distance from the
+//! face nearest to c: inside, the depth is at most the distance from any part of the surface, and distances from convex
+//! sets are convex. Any other has a(c) - |x - c|.
+
+use super::{Element, Geometry, Similarity};
+use crate::csg::model::token::Token;
+use crate::csg::parts::closed_form::Scratch;
+use crate::csg::tree::primitive::Primitive;
+use crate::geometry::closest_point_on_triangle;
+use crate::query::Search;
+use glam::DVec3;
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
+/// Largest number of cells of a search. The bounds of a search that ends there are still proven.
+const MAX_CELLS: usize = 200_000;
+/// Largest number of steps of alternating projections.
+const MAX_STEPS: usize = 5000;
+/// Share of the size that covers the rounding of distances and tangents.
+const ROUNDING: f64 = 1e-13;
+
+/// A posed solid.
+pub(super) struct Solid<'a> {
+    element: &'a Element,
+    place: Similarity,
+    search: Option<Search<'a>>,
+    scratch: Scratch,
+    /// The primitive of a convex closed form, and its placement.
+    leaf: Option<(&'a Primitive, Similarity)>,
+}
+
+/// The signed distance of a point, its unit gradient, and the nearest point.
+#[derive(Debug, Clone, Copy)]
+struct Value {
+    distance: f64,
+    gradient: DVec3,
+    /// The nearest face, world positions.
+    face: Option<[DVec3; 3]>,
+}
+
+impl<'a> Solid<'a> {
+    pub(super) fn new(element: &'a Element, place: Similarity) -> Self {
+        let (search, leaf) = match &element.geometry {
+            Geometry::Mesh(mesh) => (Some(Search::new(mesh)), None),
+            Geometry::Shape(shape) => {
+                (None, convex_leaf(shape.solid()).map(|(primitive, own)| (primitive, place.after(&own))))
+            }
+        };
+        Self { element, place, search, scratch: Scratch::default(), leaf }
+    }
+
+    /// The signed distance.
+    pub(super) fn distance(&mut self, p: DVec3) -> f64 {
+        let local = self.place.inverse_point(p);
+        match (&self.element.geometry, &mut self.search) {
+            (Geometry::Shape(shape), _) => shape.distance(local, &mut self.scratch),
+            (_, Some(search)) => search.nearest(local, f64::INFINITY).map_or(f64::INFINITY, |found| found.distance),
+            _ => f64::INFINITY,
+        }
+    }
+
+    fn value(&mut self, p: DVec3) -> Value {
+        let local = self.place.inverse_point(p);
+        match (&self.element.geometry, &mut self.search) {
+            (Geometry::Shape(shape), _) => {
+                let (distance, gradient) = shape.distance_and_gradient(local, &mut self.scratch);
+                Value { distance, gradient: self.place.rotation * gradient, face: None }
+            }
+            (Geometry::Mesh(mesh), Some(search)) => match search.nearest(local, f64::INFINITY) {
+                Some(found) => {
+                    let world = mesh.world_positions();
+                    let corner = |v: u32| self.place.point(DVec3::from_array(world[v as usize]));
+                    Value {
+                        distance: found.distance,
+                        gradient: self.place.rotation * found.gradient,
+                        face: Some(mesh.faces()[found.face as usize].map(corner)),
+                    }
+                }
+                None => Value { distance: f64::INFINITY, gradient: DVec3::X, face: None },
+            },
+            _ => Value { distance: f64::INFINITY, gradient: DVec3::X, face: None },
+        }
+    }
+
+    /// The unit gradient and the nearest surface point.
+    pub(super) fn gradient_and_point(&mut self, p: DVec3) -> (DVec3, DVec3) {
+        let value = self.value(p);
+        (value.gradient, p - value.distance * value.gradient)
+    }
+
+    /// Lower bounds of the distance in a cell, at its corners.
+    fn minorant(&self, value: &Value, center: DVec3, corners: &[DVec3; 8]) -> [f64; 8] {
+        let radius = center.distance(corners[0]);
+        match value.face {
+            _ if self.leaf.is_some() => corners.map(|x| value.distance + value.gradient.dot(x - center)),
+            Some(face) if value.distance <= radius => {
+                corners.map(|x| -closest_point_on_triangle(x, face).point.distance(x))
+            }
+            _ => [value.distance - radius; 8],
+        }
+    }
+
+    /// [`Self::minorant`] from the value at a point farther inside.
+    fn minorant_beyond(&mut self, value: &Value, center: DVec3, radius: f64, corners: &[DVec3; 8]) -> [f64; 8] {
+        if value.distance > radius {
+            return [f64::NEG_INFINITY; 8];
+        }
+        let beyond = center - 2.0 * radius * value.gradient;
+        let found = self.value(beyond);
+        match found.face {
+            _ if self.leaf.is_some() => corners.map(|x| found.distance + found.gradient.dot(x - beyond)),
+            Some(face) => corners.map(|x| -closest_point_on_triangle(x, face).point.distance(x)),
+            None => [f64::NEG_INFINITY; 8],
+        }
+    }
+
+    /// The largest n . x over a convex closed form.
+    fn support(&self, n: DVec3) -> Option<f64> {
+        let (primitive, place) = self.leaf.as_ref()?;
+        let own = place.rotation.transpose() * n;
+        Some(n.dot(place.translation) + place.scale * primitive.support(own))
+    }
+}
+
+/// The primitive of a shape that is a single convex one, and its placement.
+fn convex_leaf(solid: &crate::csg::parts::solid::Solid) -> Option<(&Primitive, Similarity)> {
+    let model = &solid.model;
+    let ([Token::Leaf(0)], [leaf]) = (&model.tokens[..], &model.leaves[..]) else { return None };
+    let is_convex = matches!(
+        leaf.primitive,
+        Primitive::Sphere { .. }
+            | Primitive::Ellipsoid { .. }
+            | Primitive::Box { .. }
+            | Primitive::Cylinder { .. }
+            | Primitive::RoundedCylinder { .. }
+            | Primitive::Capsule { .. }
+            | Primitive::Cone { .. }
+            | Primitive::RoundedCone { .. }
+            | Primitive::Plane { .. }
+            | Primitive::Slab { .. }
+            | Primitive::Pyramid { .. }
+            | Primitive::Octahedron { .. }
+            | Primitive::HexPrism { .. }
+    );
+    let place = &leaf.place;
+    let place = Similarity { rotation: place.rotation, translation: place.translation, scale: place.scale };
+    is_convex.then_some((&leaf.primitive, place))
+}
+
+/// The minimum of f: an upper bound with its place, and a lower bound.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Minimum {
+    pub(super) upper: f64,
+    pub(super) lower: f64,
+    pub(super) at: DVec3,
+}
+
+/// The closest points of two solids by alternating projections from `start`, an upper bound of their distance; none if
+/// they reach a common point. The distance is the third result, and a proven lower bound the last one.
+pub(super) fn project(
+    a: &mut Solid<'_>,
+    b: &mut Solid<'_>,
+    start: DVec3,
+    size: f64,
+) -> Option<(DVec3, DVec3, f64, f64)> {
+    let onto = |solid: &mut Solid<'_>, p: DVec3| {
+        let value = solid.value(p);
+        (value.distance > 0.0).then(|| p - value.distance * value.gradient)
+    };
+    let mut p = onto(a, start).unwrap_or(start);
+    let mut q = onto(b, p)?;
+    let mut last = f64::INFINITY;
+    for _ in 0..MAX_STEPS {
+        p = onto(a, q)?;
+        q = onto(b, p)?;
+        let distance = p.distance(q);
+        let is_nearer = distance < last - ROUNDING * size;
+        if !is_nearer {
+            break;
+        }
+        last = distance;
+    }
+    let distance = p.distance(q);
+    let are_apart = distance > ROUNDING * size;
+    if !are_apart {
+        return None;
+    }
+    let n = (q - p) / distance;
+    // The planes of support separate convex solids by at least this.
+    let lower = match (a.support(n), b.support(-n)) {
+        (Some(first), Some(second)) => (-second - first).min(distance),
+        _ => f64::NEG_INFINITY,
+    };
+    Some((p, q, distance, lower))
+}
+
+/// A cell and a lower bound of f there.
+struct Cell {
+    bound: f64,
+    center: DVec3,
+    half: DVec3,
+}
+
+// The cell with the smallest bound is the largest.
+impl Ord for Cell {
+    fn cmp(&self, other: &Self) -> Ordering {
+        let key = |cell: &Self| (cell.center.x, cell.center.y, cell.center.z);
+        other.bound.total_cmp(&self.bound).then(key(other).partial_cmp(&key(self)).unwrap_or(Ordering::Equal))
+    }
+}
+
+impl PartialOrd for Cell {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Cell {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other) == Ordering::Equal
+    }
+}
+
+impl Eq for Cell {}
+
+/// The minimum of f over a box, to a tolerance relative to its magnitude, or to `floor`. `start` is a place whose value
+/// is an upper bound.
+pub(super) fn minimum(
+    a: &mut Solid<'_>,
+    b: &mut Solid<'_>,
+    [lower, upper]: [DVec3; 2],
+    start: DVec3,
+    relative: f64,
+    floor: f64,
+) -> Minimum {
+    let at_start = a.distance(start).max(b.distance(start));
+    let mut found = Minimum { upper: at_start, lower: f64::INFINITY, at: start };
+    let slack = ROUNDING * ((upper - lower).length() + lower.abs().max(upper.abs()).max_element());
+    let mut heap = BinaryHeap::new();
+    let mut open = vec![Cell { bound: f64::NEG_INFINITY, center: 0.5 * (lower + upper), half: 0.5 * (upper - lower) }];
+    let mut cells = 0;
+    loop {
+        for mut cell in open.drain(..) {
+            cells += 1;
+            let (first, second) = (a.value(cell.center), b.value(cell.center));
+            let value = first.distance.max(second.distance);
+            if value < found.upper {
+                (found.upper, found.at) = (value, cell.center);
+            }
+            let radius = cell.half.length();
+            let corners = corners(cell.center, cell.half);
+            let minorants = [
+                a.minorant(&first, cell.center, &corners),
+                b.minorant(&second, cell.center, &corners),
+                // Beyond the middle of a wall the other side of the wall is nearest.
+                a.minorant_beyond(&first, cell.center, radius, &corners),
+                b.minorant_beyond(&second, cell.center, radius, &corners),
+            ];
+            let mut bound = value - radius;
+            for (i, one) in minorants.iter().enumerate() {
+                for other in &minorants[i..] {
+                    let least = (0..8).map(|corner| 0.5 * (one[corner] + other[corner])).fold(f64::INFINITY, f64::min);
+                    bound = bound.max(least);
+                }
+            }
+            cell.bound = cell.bound.max(bound - slack);
+            heap.push(cell);
+        }
+        let enough = found.upper - (relative * found.upper.abs()).max(floor);
+        let Some(cell) = heap.pop() else { break };
+        if cell.bound >= enough || cells >= MAX_CELLS {
+            found.lower = cell.bound;
+            break;
+        }
+        let half = 0.5 * cell.half;
+        open.extend(corners(cell.center, half).map(|center| Cell { bound: cell.bound, center, half }));
+    }
+    found.lower = found.lower.min(found.upper);
+    found
+}
+
+fn corners(center: DVec3, half: DVec3) -> [DVec3; 8] {
+    let sign = |i: usize, axis: usize| if i >> axis & 1 == 0 { -1.0 } else { 1.0 };
+    std::array::from_fn(|i| center + half * DVec3::new(sign(i, 0), sign(i, 1), sign(i, 2)))
+}
