@@ -192,6 +192,13 @@ def test_a_mesh_compressed_by_draco_is_read_or_the_remedy_is_named(tmp_path):
     assert mesh.volume == pytest.approx(ball.volume, rel=1e-4)
 
 
+@pytest.mark.parametrize("ending", ["ply", "drc", "obj"])
+def test_a_file_of_draco_is_refused_with_the_remedy(tmp_path, ending):
+    (tmp_path / f"a.{ending}").write_bytes(b"DRACO\x02\x02\x01\x01" + bytes(range(200)))
+    with pytest.raises(fb.MeshError, match=r"is a file of Draco.*draco_decoder.*DracoPy.decode"):
+        fb.load_mesh(tmp_path / f"a.{ending}")
+
+
 # --- triangle strips
 
 STRIPS = {

@@ -276,6 +276,11 @@ def _read_file(path: str | os.PathLike[str], take: Callable[[Any, Document | Non
             head = stream.read(None if file.suffix.lower() in (".obj", ".glb", ".gltf") else HEAD_BYTES)
         except MemoryError as error:
             raise checks.too_large(file) from error
+    if head.startswith(b"DRACO"):
+        raise MeshError(
+            f"{path}: is a file of Draco, which is not read; decode it with `draco_decoder -i FILE -o MESH.ply`, or in "
+            "Python: `decoded = DracoPy.decode(data)`, then fb.Mesh(decoded.points, decoded.faces)"
+        )
 
     import trimesh
 
