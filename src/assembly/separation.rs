@@ -2,8 +2,8 @@
 //!
 //! *Theory.* A binary tree over the triangles of each set is traversed at once, pairs of nodes with the smallest
 //! distance of their boxes first (E. Larsen, S. Gottschalk, M. Lin and D. Manocha, "Fast Distance Queries with
-//! Rectangular Swept Sphere Volumes", ICRA 2000, with boxes). Boxes of the second set are enclosed by boxes in the frame
-//! of the first one. Pairs of triangles are compared in float64.
+//! Rectangular Swept Sphere Volumes", ICRA 2000, with boxes). Boxes of the second set are enclosed by boxes in the
+//! frame of the first one. Pairs of triangles are compared in float64.
 
 use super::Similarity;
 use crate::bvh::boxes::{BoxNode, BoxTree};
