@@ -3,8 +3,8 @@
 //! # Theory
 //!
 //! Sphere tracing requires that a stored magnitude never exceeds the true distance. Every encoding therefore rounds
-//! *toward zero*: the magnitude of the decoded value is at most that of the original, and its sign is the same unless
-//! it is zero.
+//! *toward zero*: the magnitude of the decoded value is at most the magnitude of the original, and its sign is the same
+//! unless it is zero.
 //!
 //! | encoding | stored | range | error, at most |
 //! |---|---|---|---|
@@ -23,8 +23,8 @@
 //! | snorm16 | half width of the band around the surface | band / 32767 |
 //! | snorm8 | half width of the band around the surface | band / 127 |
 //!
-//! Division by a power of two leaves the mantissa of a half unchanged. The normalised formats are those of texture
-//! hardware: a sampler of an R8 or R16 snorm texture returns `value / scale`, and so does one of an R16 float texture.
+//! Division by a power of two leaves the mantissa of a half unchanged. Texture hardware has the same normalised
+//! formats: a sampler of an R8 or R16 snorm texture returns `value / scale`, and so does one of an R16 float texture.
 //!
 //! # Practice
 //!
@@ -117,7 +117,7 @@ impl Encoding {
         match self {
             Self::Float32 => 1.0,
             Self::Float16 => {
-                // The exponent of an f64 is that of the largest power of two up to the voxel.
+                // The exponent of an f64 is the exponent of the largest power of two up to the voxel.
                 let exponent = (voxel.to_bits() >> 52 & 0x7ff) as i32 - 1023;
                 power_of_two(exponent.clamp(*HALF_SCALE_EXPONENTS.start(), *HALF_SCALE_EXPONENTS.end()))
             }
@@ -332,7 +332,7 @@ mod tests {
         }
     }
 
-    /// The definition: no larger integer decodes to a magnitude within that of the value.
+    /// The definition: no larger integer decodes to a magnitude within the magnitude of the value.
     fn check_snorm(value: f32, scale: f32, steps: f32) {
         let stored = snorm_toward_zero(value, scale, steps);
         let decoded = |whole: i32| snorm_value(whole as f32, scale, steps);

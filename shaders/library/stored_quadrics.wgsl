@@ -1,7 +1,7 @@
 // The array of pack_quadrics as an RGBA32F texture: one row of six texels per quadric.
 @group(0) @binding(0) var quadric_texels: texture_2d<f32>;
 
-// A quadric, the points with (p, 1)^T form (p, 1) = 0 inside a trim sphere. The rows are those of the matrix.
+// A quadric, the points with (p, 1)^T form (p, 1) = 0 inside a trim sphere. The matrix is stored by rows.
 struct Quadric {
     row_x: vec4f,
     row_y: vec4f,

@@ -2,8 +2,8 @@
 // visits every triangle. The production bake is bake_distance.wgsl.
 //
 // Each dispatch visits one chunk of triangles, because software adapters stop an invocation after 65,535 loop
-// iterations without an error. `state` keeps the minimum between dispatches. The sign is that of article 001 (normal of
-// the nearest face, after a nudge along it that breaks ties at edges) or of article 003 (inside if the number of
+// iterations without an error. `state` keeps the minimum between dispatches. The sign follows article 001 (normal of
+// the nearest face, after a nudge along it that breaks ties at edges) or article 003 (inside if the number of
 // crossings is odd).
 
 #import triangle

@@ -1,8 +1,9 @@
 // Finds the triangles that each ray of a list may hit. Twin of src/bvh/rays/cast.rs.
 //
-// The tests are those of src/bvh/rays/ray_lanes.rs, with bounds on the rounding of WGSL, which may round a result to
-// either neighbour and may fuse a product with a sum. They never reject a hit. A hit is certain if no such rounding can
-// undo it. The CPU computes the hits of the triangles in float64, so the results do not depend on this search.
+// The kernel applies the tests of src/bvh/rays/ray_lanes.rs, with bounds on the rounding of WGSL, which may round a
+// result to either neighbour and may fuse a product with a sum. The tests never reject a hit. A hit is certain if no
+// such rounding can undo it. The CPU computes the hits of the triangles in float64, so the results do not depend on
+// this search.
 
 #import tree
 

@@ -30,7 +30,7 @@ fn tree_cuts(@builtin(global_invocation_id) id: vec3u) {
     begin_invocation(id);
     let first = id.x * CUT_BEAMS;
     let end = min(first + CUT_BEAMS, params.cones);
-    // The bound is that of the first cone, widened: each point of another one's axis is within `aside` of the point of
+    // The bound of the first cone is used, widened: each point of another one's axis is within `aside` of the point of
     // the first axis at the same fraction of the length.
     let one = beams[first];
     var aside = vec3f(0.0);

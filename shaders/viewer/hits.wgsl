@@ -1,5 +1,5 @@
 // Where rays meet the fields of a view, and their distances: one function for each kind of field. Rays and positions
-// are those of field space; distances are in the field's own units.
+// are in field space; distances are in the field's own units.
 
 // The part of a ray between two corners of a box. It computes what `clip_between` does without a loop over the axes,
 // because software devices are slow at indices that vary.

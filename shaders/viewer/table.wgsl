@@ -19,8 +19,8 @@
 //           21    node step (3), errors of the samples (bytes)
 //           22    place in the filtered texture: first layer, texels per voxel, distance of 1.0, one over the
 //                 difference between neighbouring samples that 1 % of the pairs exceed
-//           23    share of the view's largest error at a byte of 255; 1 if the triangles that are drawn are those of a
-//                 mesh; index of the instance
+//           23    share of the view's largest error at a byte of 255; 1 if the drawn triangles belong to a mesh; index
+//                 of the instance
 //
 // Row `count` has the rays of scene space. The rows after it are lights:
 //

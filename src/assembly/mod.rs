@@ -63,7 +63,7 @@ impl Similarity {
 /// Triangles with their search tree, or a closed form.
 #[derive(Debug, Clone)]
 pub enum Geometry {
-    /// Its inside is that of the winding number.
+    /// The winding number decides its inside.
     Mesh(Arc<Mesh>),
     /// A field that is the Euclidean distance everywhere.
     Shape(Arc<ClosedForm>),

@@ -50,11 +50,11 @@ impl Found {
 /// Configurations and points of one call.
 #[derive(Debug, Clone, Copy)]
 pub struct Request<'a> {
-    /// World-from-body poses, row-major: those of all bodies, configuration by configuration.
+    /// World-from-body poses, row-major: the poses of all bodies, configuration by configuration.
     pub poses: &'a [[[f64; 4]; 4]],
     /// Number of configurations.
     pub configurations: usize,
-    /// The points of all configurations, or those of the first one, the second one and so on.
+    /// The points of all configurations, or the points of the first configuration, the second one and so on.
     pub points: &'a [[f64; 3]],
     /// Whether each configuration has its own points.
     pub is_paired: bool,

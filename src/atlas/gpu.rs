@@ -1,7 +1,7 @@
 //! Packing on a graphics device: fields in device memory become pages in device memory.
 //!
 //! A page is a storage buffer of the occupied rows, padded to 256 bytes, so that it can be copied to a layer of a
-//! texture without conversion ([`DevicePages::texture`]). The bytes are those of [`super::texels::write`].
+//! texture without conversion ([`DevicePages::texture`]). The bytes equal the output of [`super::texels::write`].
 
 use super::AtlasBlock;
 use crate::encoding::Encoding;

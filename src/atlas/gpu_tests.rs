@@ -38,7 +38,7 @@ struct Packed {
     host: Vec<u8>,
 }
 
-/// The scale of an encoding in these tests; that of float16 must be a power of two.
+/// The scale of an encoding in these tests; the scale of float16 must be a power of two.
 fn scale(encoding: Encoding) -> f32 {
     encoding.scale(0.7, 0.7)
 }

@@ -12,8 +12,8 @@
 //! The free area is a function of the occupied rectangles, in any order. A page that was read from a file therefore
 //! grows like the page that was saved. To free a rectangle, the list is rebuilt without it. The allocators of the
 //! crates `guillotiere` and `etagere` depend on the history of their cuts, which a file does not store. On 200 volumes
-//! with sides of 4 to 48 voxels the pages are as full as those of guillotiere (0.90 to 0.92 of 512 x 512 pages), and
-//! fuller than those of etagere (0.77 to 0.81).
+//! with sides of 4 to 48 voxels the pages are as full as the pages of guillotiere (0.90 to 0.92 of 512 x 512 pages),
+//! and fuller than the pages of etagere (0.77 to 0.81).
 
 /// A rectangle of texels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -42,7 +42,7 @@ pub(crate) struct ShaderOptions {
     pub side: u32,
 }
 
-/// Statements that call every function but that of the filter.
+/// Statements that call every function but the function of the filter.
 const CALLS: &str = "
     var entry: AtlasEntry;
     let p = vec3f(atlas_texture_coordinates(entry, vec3f(0.0)), 0.0);

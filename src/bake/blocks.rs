@@ -1,7 +1,7 @@
 //! Signed distances in blocks of a grid, for surfaces that are extracted without the whole grid.
 //!
-//! The samples of a block share their candidates for the nearest triangle ([`super::dense`]). The side of a sample is
-//! mostly that of its neighbour ([`SideWalk`]), so it is counted beside the surface only.
+//! The samples of a block share their candidates for the nearest triangle ([`super::dense`]). A sample mostly has the
+//! side of its neighbour ([`SideWalk`]), so the side is counted beside the surface only.
 
 use super::{BakeOptions, LocalGrid};
 use crate::error::{ArgumentError, Error};

@@ -2,7 +2,7 @@
 //!
 //! Samples of a row follow each other, so the nearest disk of one bounds the search of the next. The distance is
 //! 1-Lipschitz: a brick whose centre is farther from the disks than the band and half its diagonal has no sample in the
-//! band, and its side is that of its corners.
+//! band, and it has the side of its corners.
 
 use crate::cloud::PointCloud;
 use crate::error::{ArgumentError, Error};

@@ -1,8 +1,8 @@
 //! Bake of a mesh: signed distances on a grid.
 //!
-//! Two passes over slabs of the grid compute distances, then signs. The distance of a sample is that of the nearest
-//! triangle, found in float32 and evaluated in float64 (see `bvh`), and does not depend on the sign. The work is
-//! divided by slabs of the grid, never by threads, so the same input gives the same bytes on any number of threads.
+//! Two passes over slabs of the grid compute distances, then signs. The distance of a sample is the distance of the
+//! nearest triangle, found in float32 and evaluated in float64 (see `bvh`), and does not depend on the sign. The work
+//! is divided by slabs of the grid, never by threads, so the same input gives the same bytes on any number of threads.
 
 mod band;
 mod blocks;

@@ -57,7 +57,7 @@ pub fn bake_sparse<T: Texel>(
     progress.check()?;
     stage("sign rule", start);
 
-    // Distances of the two-sided sheet are those of the triangles minus this.
+    // Distances of the two-sided sheet are the distances of the triangles minus this.
     let half_thickness = bake.thickness.map_or(0.0, |thickness| 0.5 * thickness);
     let start = Instant::now();
     let mut nodes = vec![0.0; nodes_on.len()];

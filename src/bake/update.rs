@@ -168,7 +168,7 @@ fn count(samples: &[f32], holds: impl Fn(f32) -> bool + Sync) -> usize {
     samples.par_iter().filter(|&&sample| holds(sample)).count()
 }
 
-/// Whether both meshes have the same orientation of faces and the same caps. `openings` are those of `mesh`.
+/// Whether both meshes have the same orientation of faces and the same caps. `openings` belong to `mesh`.
 fn has_sides_of(before: &Mesh, mesh: &Mesh, openings: &Openings) -> bool {
     before.topology().orientation == mesh.topology().orientation
         && before.topology().rim == mesh.topology().rim

@@ -256,8 +256,8 @@ impl Bvh {
         true
     }
 
-    /// Visits packs near `p`, those of the nearest boxes first. `on_pack` receives a pack, its index and the squared
-    /// distances of its faces from `p`, and returns as for [`Bvh::visit_nearest_packs`].
+    /// Visits packs near `p`, the packs of the nearest boxes first. `on_pack` receives a pack, its index and the
+    /// squared distances of its faces from `p`, and returns as for [`Bvh::visit_nearest_packs`].
     #[inline(always)]
     fn visit_nearest(&self, p: Vec3, limit: f32, mut on_pack: impl FnMut(&Pack, usize, &[f32; WIDTH]) -> f32) {
         self.visit_nearest_packs(p, limit, |index| {
@@ -266,9 +266,9 @@ impl Bvh {
         });
     }
 
-    /// Visits packs near `p`, those of the nearest boxes first. `on_pack` receives the index of a pack, and returns the
-    /// largest squared distance of the boxes that are still searched, which begins as `limit` and must be finite: the
-    /// box of an absent child is infinitely far.
+    /// Visits packs near `p`, the packs of the nearest boxes first. `on_pack` receives the index of a pack, and returns
+    /// the largest squared distance of the boxes that are still searched, which begins as `limit` and must be finite:
+    /// the box of an absent child is infinitely far.
     #[inline(always)]
     pub fn visit_nearest_packs(&self, p: Vec3, mut limit: f32, mut on_pack: impl FnMut(usize) -> f32) {
         let mut stack = Stack::new();

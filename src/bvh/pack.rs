@@ -255,7 +255,7 @@ impl Pack {
     ///
     /// Rounding turns the gradient where two features of the triangle are almost equally near, and anywhere very close
     /// to it. The distance lies above a plane through the nearest point only for the exact gradient. The value is
-    /// therefore that of the plane through the corner that lies farthest along the gradient g, the support of the
+    /// therefore taken from the plane through the corner that lies farthest along the gradient g, the support of the
     /// triangle: for each point t of it |q - t| >= g.(q - t) >= g.q - max over the corners of g.t.
     #[inline(always)]
     pub fn tangents(&self, p: Vec3) -> ([f32; WIDTH], [[f32; WIDTH]; 3]) {

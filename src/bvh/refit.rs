@@ -102,7 +102,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(100))]
-        /// Searches of a refitted tree have the faces and the bits of those of a new tree, near and far.
+        /// Searches of a refitted tree have the faces and the bits of searches of a new tree, near and far.
         #[test]
         fn a_refitted_tree_finds_what_a_new_one_finds(
             count in 1usize..600, seed in any::<u64>(), size in prop::sample::select(vec![1e-3, 0.02, 0.1]),
@@ -163,7 +163,7 @@ mod tests {
         mesh.bvh();
         let shuffled = mesh.moved(&moved_vertices(&mesh, 1.0, 0.5, 5)).unwrap();
         assert!(!shuffled.bvh().is_refitted);
-        // The cost is compared with that of the build, so that many small motions add up.
+        // The cost is compared with the cost of the build, so that many small motions add up.
         let mut walking = mesh;
         let is_refitted: Vec<bool> = (0..40)
             .map(|step| {

@@ -51,8 +51,8 @@ impl Areas {
         Ok(Self { values, outliers, duplicates: points.len() - distinct.len() })
     }
 
-    /// The median and the 95th percentile of the spacing, the square root of an area. Points without areas have those
-    /// of their neighbours; 0 for fewer than nine points.
+    /// The median and the 95th percentile of the spacing, the square root of an area. Points without areas have the
+    /// areas of their neighbours; 0 for fewer than nine points.
     pub(super) fn spacings(&self, points: &[[f64; 3]], progress: &Progress) -> Result<(f64, f64), Error> {
         let (median, high) = (quantile(&self.values, 0.5), quantile(&self.values, 0.95));
         if median > 0.0 {

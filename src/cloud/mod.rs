@@ -4,7 +4,7 @@
 //! a n.(p - q) / (4 pi |p - q|^3)` over all points ([`winding`]), as Barill et al., *Fast winding numbers for soups and
 //! clouds*, 2018. Points without areas get them from their neighbours ([`areas`]).
 //!
-//! Coordinates are local as those of a mesh: `local = (world - center) / scale`, with a power of two as scale that
+//! Coordinates are local, as in a mesh: `local = (world - center) / scale`, with a power of two as scale that
 //! brings the box of all disks to a size of at most 1.
 
 mod areas;
@@ -31,7 +31,7 @@ use winding::CloudMoments;
 const MAX_REACH: f64 = 1e18;
 /// Memory of the tree, the disks and the moments while they are built, bytes for each point.
 const BYTES_PER_POINT: usize = 300;
-/// A cloud is inside out if its enclosed volume, as a share of that of a ball of equal area, is below this.
+/// A cloud is inside out if its enclosed volume, as a share of the volume of a ball of equal area, is below this.
 const INSIDE_OUT: f64 = -0.05;
 
 /// The map from world units to local units.
@@ -157,7 +157,7 @@ impl PointCloud {
         Ok(cloud)
     }
 
-    /// The enclosed volume about the centroid, compared with that of a ball of equal area.
+    /// The enclosed volume about the centroid, compared with the volume of a ball of equal area.
     fn is_inside_out(&self) -> bool {
         let weighted = |disks: &Disks, lane: usize| (disks.center(lane), disks.radius[lane] * disks.radius[lane]);
         let all = || self.disks.iter().flat_map(|disks| (0..WIDTH).map(move |lane| (disks, lane)));

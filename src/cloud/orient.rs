@@ -46,8 +46,8 @@ const OTHER_WORK: usize = 20;
 /// Unit normals, and the method that chose their sides: "viewpoints", "tree" or "winding".
 pub type Oriented = (Vec<[f64; 3]>, &'static str);
 
-/// Finds unit normals. `lines` may give an axis for each point; one of zeros is that of the `count` nearest neighbours.
-/// `viewpoints` has one position for each point, on the outer side of it.
+/// Finds unit normals. `lines` may give an axis for each point; zeros stand for the axis of the `count` nearest
+/// neighbours. `viewpoints` has one position for each point, on the outer side of it.
 pub fn orient(
     points: &[[f64; 3]],
     lines: Option<&[[f64; 3]]>,

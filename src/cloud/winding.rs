@@ -22,8 +22,8 @@
 //! *Use.* A pass takes clusters with t below a limit. If the sum of all bounds is too large, the next pass has a
 //! smaller limit: the sum is nearly proportional to the square of the limit, and the number of clusters to its inverse.
 //! Where a pass would take longer than the sum over all points in float64, that sum is taken. The same limit for all
-//! clusters needs the fewest of them: their number is the integral of 1 / (pi r^2) over the surface, the bound that of
-//! 3 r^2 / (4 pi R^4), and with a fixed bound the number is least for r proportional to R.
+//! clusters needs the fewest of them: their number is the integral of 1 / (pi r^2) over the surface, the bound is the
+//! integral of 3 r^2 / (4 pi R^4), and with a fixed bound the number is least for r proportional to R.
 
 use super::{Disks, PointCloud};
 use crate::bvh::moments::{Cluster, NodeMoments};

@@ -114,7 +114,7 @@ impl Tangents {
 
     /// The linear functions at up to [`POINTS`] world positions: the field minus the level at the position, and its
     /// gradient. With fewer positions, the remaining entries repeat the last one. Where the field has no gradient, the
-    /// function is that of a point beside the position.
+    /// function of a point beside the position is returned.
     fn evaluate(&self, points: &[DVec3], scratch: &mut Scratch) -> [(f64, DVec3); POINTS] {
         let points: [DVec3; POINTS] = std::array::from_fn(|i| points[i.min(points.len() - 1)]);
         let found = self.values(&points, scratch);

@@ -37,7 +37,7 @@ impl TrianglePoint {
         Self { point, feature: Feature::Vertex(i), weights }
     }
 
-    /// A point of edge `i`. `t` is the weight of the corner `to` and 1 - `t` that of the corner `from`.
+    /// A point of edge `i`. `t` is the weight of the corner `to` and 1 - `t` the weight of the corner `from`.
     #[inline(always)]
     fn on_edge(i: u8, point: DVec3, [from, to]: [usize; 2], t: f64) -> Self {
         let mut weights = [0.0; 3];

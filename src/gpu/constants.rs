@@ -106,7 +106,7 @@ wgsl_constants! {
         /// Error of an edge function on a device, relative to the square of the largest sheared coordinate: a
         /// difference of two products. WGSL rounds a result to either neighbour, so four roundings are 1.2e-7 each.
         PRODUCT_ROUNDING: f32 as f32 = 5e-7;
-        /// Error of a `t` beside that of the edge functions, local units: 1.8e-7 of the coordinates, and fifteen
+        /// Error of a `t` beside the error of the edge functions, local units: 1.8e-7 of the coordinates, and fifteen
         /// roundings of values below 1.
         T_MARGIN: f32 as f32 = 4e-6;
         /// Larger than every `t`.
@@ -248,8 +248,8 @@ wgsl_constants! {
         STAGE_EDGES: u32 as u32 = 5;
         STAGE_CUTS: u32 as u32 = 6;
         STAGES: u32 as u32 = 7;
-        /// Number of words from the parameters of a stage to those of the next one: 256 bytes, the largest alignment of
-        /// uniform buffers.
+        /// Number of words from the parameters of a stage to the parameters of the next one: 256 bytes, the largest
+        /// alignment of uniform buffers.
         STRIDE: u32 as u32 = 64;
         /// Number of invocations of a workgroup, and of the pixels of a tile.
         GROUP: u32 as u32 = 64;

@@ -185,7 +185,7 @@ mod tests {
     fn the_time_of_an_item_is_the_mean_of_the_large_submissions() {
         assert_eq!(seconds_per_item(&[]), None);
         // The first submission includes the compilation of kernels. The host woke late after the fourth one, whose time
-        // contains that of the fifth.
+        // contains the time of the fifth.
         let measured = [(4, 9.0), (4, 0.1), (8, 0.2), (16, 47.0), (32, 1.0), (16, 16.0)];
         assert_eq!(seconds_per_item(&measured), Some(1.0));
         assert_eq!(seconds_per_item(&[(30, 120.0)]), Some(4.0));

@@ -6,9 +6,9 @@
 //! picture, and each tile keeps the range of depths of the cubes that its pixels can see. The ray of a pixel begins at
 //! the least depth of its tile and ends at the largest, and a tile without cubes shows the background.
 //!
-//! A cube is a block of cells, or a part of it if the block overlaps many tiles. Blocks are left out if all their cells
-//! have such a corner, and all those of the six blocks beside them. A ray enters a region of such blocks through a
-//! block that is full of projected cells, and leaves it through another, so its range contains the region.
+//! A cube is a block of cells, or a part of it if the block overlaps many tiles. Blocks are left out if all their
+//! cells, and all cells of the six blocks beside them, have such a corner. A ray enters a region of such blocks through
+//! a block that is full of projected cells, and leaves it through another, so its range contains the region.
 //!
 //! The least depths and the largest are found separately. Each search takes the blocks in the order of the rays or
 //! against it, and leaves out cubes that change no tile, so a field with a surface in every block costs little more.
@@ -277,7 +277,7 @@ mod tests {
         [Camera::from_pose(pose, fov_deg).unwrap(), Camera::orthographic(pose, 0.1 * fov_deg).unwrap()]
     }
 
-    /// Compares the hits of all pixels with those of whole rays, and returns the number of hits and of pixels whose
+    /// Compares the hits of all pixels with the hits of whole rays, and returns the number of hits and of pixels whose
     /// rays are shorter.
     fn check<F: Blocks>(field: F, camera: &Camera, filter: Filter) -> [usize; 2] {
         let marcher = Marcher::new(field, &Progress::new()).unwrap();

@@ -7,7 +7,7 @@
 //! every float32 rounding. A field owns the sample if its interval lies below all others. Its bound is then the
 //! minimum, and the CPU evaluates it in f64. A sample is undecided where intervals overlap, on a face of a field's
 //! cell, and near quadrics and fields that their box cuts. The CPU evaluates undecided samples over all fields. The
-//! merged field therefore equals that of the CPU bit for bit, on every device.
+//! merged field therefore equals the field of the CPU bit for bit, on every device.
 //!
 //! # Practice
 //!

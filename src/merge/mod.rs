@@ -10,7 +10,8 @@
 //!
 //! Samples are computed in blocks of 4^3. A block searches the tree from near to far. The search ends at the largest
 //! value of its samples so far. A skipped field lies in a box that is farther away than the value of every sample, and
-//! no field is below the distance to its box. The result therefore equals that of a loop over all fields, bit for bit.
+//! no field is below the distance to its box. The result therefore equals the result of a loop over all fields, bit for
+//! bit.
 //!
 //! Every sample stores its owner, the field that gave the smallest value. If some fields move, blocks with samples that
 //! they own are computed anew. In other blocks the new value is compared with the old one. The result equals a new
@@ -74,7 +75,7 @@ pub fn merge(grid: &Grid, placed: &[Placed<'_>], progress: &Progress) -> Result<
 
 /// Updates a merged field after the fields in `changed` have moved; `placed` are all fields in their new state.
 ///
-/// The distances are those of [`merge`], bit for bit.
+/// The distances equal the distances of [`merge`], bit for bit.
 pub fn update(
     grid: &Grid,
     placed: &[Placed<'_>],

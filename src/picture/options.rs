@@ -59,7 +59,7 @@ impl Filter {
     }
 }
 
-/// Options of a picture. The names are those of the Python interface, which defines the defaults.
+/// Options of a picture. The names come from the Python interface, which defines the defaults.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RaymarchOptions {
     /// Width and height, pixels.

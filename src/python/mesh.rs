@@ -47,7 +47,7 @@ impl Mesh {
         let vertices = mesh.get().0.world_positions();
         let view = ArrayView2::from_shape((vertices.len(), 3), vertices.as_flattened());
         let view = view.expect("the flat array has three numbers a row");
-        // SAFETY: the array is that of a frozen class, which never changes or moves it; the view keeps the object alive
+        // SAFETY: the array belongs to a frozen class, which never changes or moves it; the view keeps the object alive
         // and is made read-only before any other code has it.
         let array = unsafe { PyArray2::borrow_from_array(&view, mesh.clone().into_any()) };
         array.readwrite().make_nonwriteable();

@@ -139,7 +139,7 @@ impl Texture {
     #[new]
     fn new(py: Python<'_>, pixels: PyReadonlyArray3<'_, u8>) -> PyResult<Self> {
         let (height, width) = (pixels.shape()[0], pixels.shape()[1]);
-        // ndarray's `as_slice` is used, because that of NumPy also accepts arrays with columns first.
+        // ndarray's `as_slice` is used, because the method of NumPy also accepts arrays with columns first.
         let pixels = pixels.as_array();
         let bytes = pixels.as_slice().map_or_else(|| pixels.iter().copied().collect(), <[u8]>::to_vec);
         let made = py.detach(|| CoreTexture::new(&bytes, width, height)).map_err(Failure::from)?;
@@ -309,7 +309,7 @@ struct PictureOptions {
 }
 
 impl PictureOptions {
-    /// Converts the options to those of the core; unknown words are errors.
+    /// Converts the options to the options of the core; unknown words are errors.
     fn checked(self, lights: Vec<Light>, ambient: Ambient, background: [f32; 4]) -> PyResult<RenderOptions> {
         Ok(RenderOptions {
             size: self.size,

@@ -81,7 +81,7 @@ impl Sweep {
         py.detach(|| self.0.bounds()).map(|[lower, upper]| (lower.to_array(), upper.to_array()))
     }
 
-    /// The field, the number of its evaluated samples, and that of evaluated distances. `offset`, `tolerance` and
+    /// The field, the number of its evaluated samples, and the number of evaluated distances. `offset`, `tolerance` and
     /// `band` are in world units.
     #[pyo3(signature = (lower, upper, shape, *, offset, tolerance, band, encoding="float32", progress=None))]
     fn bake(

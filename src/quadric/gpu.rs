@@ -10,7 +10,7 @@
 //! ```
 //!
 //! Two values differ from the record of `pack_quadrics`, so that float32 is precise enough at any position in the
-//! world. The matrix is that of the frame of the trim sphere ([`super::local`]), and the centre is relative to the
+//! world. The matrix is in the frame of the trim sphere ([`super::local`]), and the centre is relative to the
 //! centre of all quadrics. Depths then agree with the CPU's to a few float32 roundings of the distance, and of the
 //! radius divided by the slope.
 

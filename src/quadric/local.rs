@@ -48,7 +48,7 @@ impl Local {
     /// Relative widening of the trim sphere.
     ///
     /// An entry `c^T M c` is rounded by one epsilon, which moves a surface of radius `r` by about
-    /// `epsilon (|c| / r)^2 r / 2`. The epsilon is that of float32 if all entries are float32 values, since they may
+    /// `epsilon (|c| / r)^2 r / 2`. The epsilon of float32 is used if all entries are float32 values, since they may
     /// come from a record.
     pub(super) fn slack(quadric: &Quadric) -> f64 {
         let offset = quadric.center.length() / quadric.radius;

@@ -1,9 +1,9 @@
 //! Pictures of quadrics on the CPU, in f64.
 //!
-//! The nearest sheet on the ray of each pixel is drawn; its normal faces the eye. Shading is that of every picture
-//! ([`crate::render::shade`]) with the reflectance of the quadric as its colour. A light behind the visible side of a
-//! sheet does not light it. The ray to a light starts on the sheet itself, without a bias: the crossing at its start is
-//! excluded explicitly.
+//! The nearest sheet on the ray of each pixel is drawn; its normal faces the eye. Shading is the same as in every
+//! picture ([`crate::render::shade`]) with the reflectance of the quadric as its colour. A light behind the visible
+//! side of a sheet does not light it. The ray to a light starts on the sheet itself, without a bias: the crossing at
+//! its start is excluded explicitly.
 
 use super::Quadrics;
 use crate::picture::{Camera, DirectionalLight, RaymarchOptions, Row};

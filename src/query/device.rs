@@ -37,8 +37,8 @@ pub(super) fn nearest_faces(
 }
 
 /// Runs a kernel that searches the tree of a mesh for every item of a list and writes a result for each to `found`. The
-/// kernel binds parameters, nodes, `triangles`, items and results, in this order. `items` are those of some rows, and
-/// `params(first, count)` the parameters of a dispatch for some items of a batch.
+/// kernel binds parameters, nodes, `triangles`, items and results, in this order. `items` are the items of some rows,
+/// and `params(first, count)` the parameters of a dispatch for some items of a batch.
 #[expect(clippy::too_many_arguments, reason = "each is an input of one search")]
 pub(super) fn search_tree<'a, P: Pod, T: Pod, I: Pod, R: Pod>(
     context: &Context,

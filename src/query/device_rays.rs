@@ -2,7 +2,7 @@
 //!
 //! The device searches in float32 and returns up to [`SLOTS`] faces for each ray. They include every face of the
 //! result. The CPU computes the hits of these faces in float64. It searches the rays itself for which more faces would
-//! be needed, so the results are those of the CPU, to the bit.
+//! be needed, so the results equal the results of the CPU, to the bit.
 
 use super::device::search_tree;
 use super::ray_list::{CHUNK, Rays};

@@ -217,7 +217,7 @@ fn side_and_gradient(walk: &mut Walk<'_>, rule: &SignRule, p: DVec3, closest: &C
         return (inside, outwards / closest.distance);
     }
     let mesh = walk.mesh;
-    // The rounding of a position is that of the larger of its local and world coordinates.
+    // The rounding of a position is the rounding of the larger of its local and world coordinates.
     let magnitude = 1.0 + mesh.center().abs().max_element() / mesh.scale();
     let on_surface = closest.distance <= ON_SURFACE * magnitude;
     let feature = if on_surface { nearest_feature(closest) } else { closest.on_triangle.feature };

@@ -1,4 +1,4 @@
-//! Signed distances in float64: magnitudes from the mesh's own positions, signs as those of the float32 functions.
+//! Signed distances in float64: magnitudes from the mesh's own positions, signs as in the float32 functions.
 
 use super::{CHUNK, answer_in_order, check_points, prepare};
 use crate::error::Error;

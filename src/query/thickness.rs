@@ -2,7 +2,7 @@
 //!
 //! *Theory.* A ball that touches the surface at p with outward unit normal n has its centre at p - r n. The ball
 //! through p and another point q of the surface has the radius |p - q|^2 / (2 n.(p - q)), and the thickness is twice
-//! the least of these radii. The search is that of the shrinking ball (Ma, Bae and Choi, *3D medial axis point
+//! the least of these radii. The search is the method of the shrinking ball (Ma, Bae and Choi, *3D medial axis point
 //! approximation using nearest neighbors and the normal field*, 2012): the point nearest to the centre gives the next,
 //! smaller ball, which is a step of Newton's method.
 //!

@@ -139,8 +139,8 @@ pub fn raymarch_nested(
 
 /// Draws a field in device memory.
 ///
-/// The picture equals that of [`raymarch`] to float32 rounding with [`Filter::Linear`]. `Frame::steps` counts cells
-/// only, since the device does not leap.
+/// The picture equals the picture of [`raymarch`] to float32 rounding with [`Filter::Linear`]. `Frame::steps` counts
+/// cells only, since the device does not leap.
 pub fn raymarch_on_device(
     field: &DeviceField,
     grid: &Grid,

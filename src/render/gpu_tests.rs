@@ -215,7 +215,8 @@ fn a_device_is_sent_the_stored_bytes_and_little_else() {
         assert!(draw().object_id.contains(&0));
         (context.counters.uploaded_bytes.load(Ordering::Relaxed) - before) as usize
     };
-    // A light, the parameters of the picture at their allocation and before the kernel, and those of the samples.
+    // A light, the parameters of the picture at their allocation and before the kernel, and the parameters of the
+    // samples.
     const BESIDE: usize =
         size_of::<layout::Light>() + 2 * size_of::<layout::MarchParams>() + size_of::<layout::StoredParams>();
 

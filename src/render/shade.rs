@@ -3,12 +3,12 @@
 //! The normal is the gradient of the trilinear field averaged over a voxel around the hit (a central difference of half
 //! a voxel is that average along its axis), transformed to world space, so it is right for oblong voxels. The gradient
 //! at the point itself jumps from cell to cell and would show the grid on every smooth surface; the average is
-//! continuous. Where the ray enters the solid through a face of the box, the visible surface is the cut, and the normal
-//! is that of the face.
+//! continuous. Where the ray enters the solid through a face of the box, the visible surface is the cut, and it has the
+//! normal of the face.
 //!
 //! A shadow ray is traced like any other ([`crate::march::marcher`]). It starts [`crate::picture::Filter::bias_voxels`]
 //! above the surface, along the normal. The bias is in voxels, because it must clear the facets of the trilinear
-//! surface, whose size is that of a voxel. A side that faces away from a light receives none of it.
+//! surface, which have the size of a voxel. A side that faces away from a light receives none of it.
 
 use crate::gpu::constants::light::GROUND_SHARE;
 use crate::march::blocks::Blocks;

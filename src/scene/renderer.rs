@@ -2,8 +2,8 @@
 //!
 //! On a graphics device the fields, meshes, textures and rows of a scene stay in device memory between frames
 //! ([`super::device::device_scene`]). A frame with other transforms or materials is a scene of its own that shares the
-//! objects ([`Scene::moved`]), so its picture is the one that a new renderer would draw. Only rows that differ from
-//! those of the frame before are uploaded.
+//! objects ([`Scene::moved`]), so its picture is the one that a new renderer would draw. Only rows that differ from the
+//! rows of the frame before are uploaded.
 //!
 //! On the CPU the trees of the meshes and the fields are parts of the scene.
 //!
@@ -139,7 +139,7 @@ pub struct Rendered {
     pub sheets: usize,
     /// Whether the light pass ran on the device.
     pub is_lit_on_device: bool,
-    /// Whether the surfaces, and the light on them, are those of the last picture.
+    /// Whether the surfaces, and the light on them, are reused from the last picture.
     pub reused: [bool; 2],
 }
 
@@ -152,7 +152,7 @@ struct Task<'a> {
     progress: &'a Progress,
 }
 
-/// Draws a scene on the device that has it, with the times of the stages there. `upload` is that of the upload, s.
+/// Draws a scene on the device that has it, with the times of the stages there. `upload` is the time of the upload, s.
 fn draw_timed(
     task: Task<'_>,
     context: &Context,

@@ -42,7 +42,7 @@ fn the_visible_share_is_that_of_a_disc_cut_by_a_chord() {
 
 #[test]
 fn disc_points_are_spread_evenly() {
-    // Their second moments are those of the disc: 1/4 on each axis.
+    // Their second moments equal the moments of the disc: 1/4 on each axis.
     let points: Vec<_> = (0..256).map(|i| disc_point(i, 256, 0.7)).collect();
     let mean = |f: &dyn Fn(&glam::Vec2) -> f32| points.iter().map(f).sum::<f32>() / 256.0;
     assert!((mean(&|p| p.x * p.x) - 0.25).abs() < 0.01 && (mean(&|p| p.x * p.y)).abs() < 0.01);

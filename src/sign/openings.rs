@@ -13,11 +13,10 @@
 //! triangle by triangle. If the error leaves the nearest integer open, a finer sum follows, and a sum over all caps in
 //! float64 at last.
 //!
-//! f jumps only at the caps. Elsewhere its gradient is that of the rim alone, by the Biot-Savart law: |grad f| <= sum
-//! over rim edges of length / (4 pi distance^2). A part of the tree with all caps of its rims also changes by at most
-//! 2 A / (4 pi distance^3).
-//! One value therefore decides a whole ball of samples ([`Openings::rounded_ball`]), and only samples near an opening
-//! have a cost. [`super::winding`] handles meshes that consist of openings.
+//! f jumps only at the caps. Elsewhere its gradient is the gradient of the rim alone, by the Biot-Savart law: |grad f|
+//! <= sum over rim edges of length / (4 pi distance^2). A part of the tree with all caps of its rims also changes by at
+//! most 2 A / (4 pi distance^3). One value therefore decides a whole ball of samples ([`Openings::rounded_ball`]), and
+//! only samples near an opening have a cost. [`super::winding`] handles meshes that consist of openings.
 
 use super::caps::{ANGLE_ERROR, CapPack};
 use super::closing::{self, Cap};
@@ -374,8 +373,8 @@ impl CapNode {
     }
 }
 
-/// Sum of the solid angles of caps as seen from `p`, turns. The side of `p` is that of the exact predicate that also
-/// decides the crossings, so that the jump of the angle and that of the count lie on the same side of the cone.
+/// Sum of the solid angles of caps as seen from `p`, turns. The side of `p` comes from the exact predicate that also
+/// decides the crossings, so that the jumps of the angle and of the count lie on the same side of the cone.
 fn turns_at(p: DVec3, caps: &[[DVec3; 3]]) -> f64 {
     let at = |q: DVec3| Coord3D { x: q.x, y: q.y, z: q.z };
     let mut angles = SolidAngles::default();

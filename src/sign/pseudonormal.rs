@@ -1,7 +1,7 @@
 //! The side of the surface by angle-weighted pseudonormals.
 //!
-//! The sign is that of (p - q).n, where q is the closest point and n the normal of its feature: the face normal, the
-//! sum of the two face normals at an edge, or the angle-weighted sum at a vertex. The sign is right for closed,
+//! The sign is the sign of (p - q).n, where q is the closest point and n the normal of its feature: the face normal,
+//! the sum of the two face normals at an edge, or the angle-weighted sum at a vertex. The sign is right for closed,
 //! consistently wound surfaces without self-intersections: Baerentzen and Aanaes, *Signed distance computation using
 //! the angle weighted pseudonormal*, IEEE TVCG 11(3), 2005. Faces are oriented as the topology decided.
 
@@ -87,7 +87,7 @@ impl Pseudonormals {
     }
 }
 
-/// Unit normal of a triangle, zero for a needle. The normals of its edges are then those of its neighbours.
+/// Unit normal of a triangle, zero for a needle. The normals of its edges are then the normals of its neighbours.
 fn normal_of(corners: [DVec3; 3]) -> DVec3 {
     if is_needle(corners) { DVec3::ZERO } else { triangle_cross(corners).normalize_or_zero() }
 }

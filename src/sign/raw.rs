@@ -3,7 +3,7 @@
 //! *Theory.* The edges that the faces do not traverse equally often in both directions form closed loops, the rims. A
 //! cone from all rim edges to one apex closes the surface. The closed surface has an integer winding number, counted by
 //! an axis-parallel ray with exact predicates (see [`super::crossing`]), and solid angles are additive: w(faces) =
-//! integer - w(cone). The cost is therefore one ray and one solid angle per rim edge. The error is that of the sum of
+//! integer - w(cone). The cost is therefore one ray and one solid angle per rim edge. The error comes from the sum of
 //! those angles, about 1e-15 each.
 //!
 //! The sign rules of the other modules use repaired orientations. This module takes every face as it is wound,

@@ -137,7 +137,7 @@ proptest! {
         }
     }
 
-    /// The value that decides a block equals that of every sample in it.
+    /// The value that decides a block equals the value of every sample in it.
     #[test]
     fn block_decisions_hold_for_every_sample(seed in any::<u64>(), missing in 1usize..40) {
         let (vertices, mut faces) = bumpy_sphere(seed);
@@ -287,8 +287,8 @@ fn only_meshes_with_many_slivers_are_cut() {
     assert!(!fan(60, 0.1).moments().has_pieces());
 }
 
-/// Hundreds of discs over as many reversed ones: their winding numbers, and those of their caps, exceed the range of
-/// eight bits and nearly cancel.
+/// Hundreds of discs over as many reversed ones: their winding numbers, and the winding numbers of their caps, exceed
+/// the range of eight bits and nearly cancel.
 #[test]
 fn the_side_is_right_among_hundreds_of_openings() {
     const EDGES: i64 = 64;

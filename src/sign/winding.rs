@@ -17,7 +17,7 @@
 //!
 //! *Slivers.* A long thin triangle makes the radius of its node large, so that few points are far from it. Solid angles
 //! are additive, so the faces may be divided without a change of the sum. If a mesh has many slivers, they are cut
-//! into short pieces, and the moments are those of a tree over the pieces. A mesh that would have too many pieces keeps
+//! into short pieces, and the moments come from a tree over the pieces. A mesh that would have too many pieces keeps
 //! the tree over its faces, which is slower beside slivers and as accurate.
 
 use crate::bvh::moments::{Cluster, NodeMoments};

@@ -26,8 +26,8 @@ use std::collections::BinaryHeap;
 /// Relative gap between the bounds at which the search ends.
 const GAP: f64 = 5e-4;
 
-/// Distances below this are zero, units of the other mesh's size: its float64 positions are rounded to 1e-16, and those
-/// of a mesh extracted from it to a few times that.
+/// Distances below this are zero, units of the other mesh's size: its float64 positions are rounded to 1e-16, and the
+/// positions of a mesh extracted from it to a few times that.
 const ZERO: f64 = 1e-12;
 
 /// Pieces divided between two comparisons with the best distance.

@@ -1,14 +1,14 @@
 //! The sides of the cells of a grid that no face enters.
 //!
 //! *Theory.* The winding number of a closed surface is constant along every path that does not meet a face. All points
-//! of a cell without faces are therefore on the same side of the surface, and so are those of all such cells that are
-//! connected through their boundaries. One point decides a whole region. If caps close the openings of the mesh, a cell
-//! also has to lie in a ball without caps where the fraction of the openings has one nearest integer
+//! of a cell without faces are therefore on the same side of the surface, and so are the points of all such cells that
+//! are connected through their boundaries. One point decides a whole region. If caps close the openings of the mesh, a
+//! cell also has to lie in a ball without caps where the fraction of the openings has one nearest integer
 //! ([`Openings::is_uniform_within`]).
 //!
 //! A cell counts as entered if the box and the plane of a face meet it. It may then be free of faces, which costs time
 //! but changes no side. The index of a cell is a monotonic function of each coordinate, rounding included, so every
-//! point of a face has an index between those of the corners of its box.
+//! point of a face has an index between the indices of the corners of its box.
 
 use crate::error::Error;
 use crate::mesh::Mesh;

@@ -212,7 +212,7 @@ impl SurfaceCells {
         self.owners.len()
     }
 
-    /// One value for each patch, in order. `fill` computes those of some consecutive cells.
+    /// One value for each patch, in order. `fill` computes the values of some consecutive cells.
     pub(crate) fn for_patches<T: Copy + Send>(
         &self,
         empty: T,
@@ -221,7 +221,7 @@ impl SurfaceCells {
         self.for_parts(self.patch_count(), empty, |cell| cell.first_patch, fill)
     }
 
-    /// One value for each crossed edge, in order. `fill` computes those of some consecutive cells.
+    /// One value for each crossed edge, in order. `fill` computes the values of some consecutive cells.
     pub(crate) fn for_edges<T: Copy + Send>(
         &self,
         empty: T,
@@ -230,7 +230,7 @@ impl SurfaceCells {
         self.for_parts(self.edge_count(), empty, |cell| cell.first_edge, fill)
     }
 
-    /// `count` values, of which those of a cell start at the index `first`. `fill` computes those of some consecutive
+    /// `count` values. The values of a cell start at the index `first`. `fill` computes the values of some consecutive
     /// cells.
     pub(crate) fn for_parts<T: Copy + Send>(
         &self,
@@ -287,7 +287,7 @@ impl SurfaceCells {
     /// Keeps the mesh a two-manifold. Where both segments of an ambiguous face belong to one patch in either cell, the
     /// two vertices would be joined by two edges of the mesh with the same ends, and four faces would meet there.
     /// Joining the other corners of that face instead parts the patch in both cells. Parting patches never creates
-    /// another such face, so one pass over all faces suffices (the rule is that of R. Wenger, "Isosurfaces", 2013, for
+    /// another such face, so one pass over all faces suffices (the rule of R. Wenger, "Isosurfaces", 2013, for
     /// dual contouring).
     fn part_doubly_joined_patches(&mut self) {
         for i in 0..self.cells.len() {
@@ -318,7 +318,7 @@ pub(crate) struct NeighbourSearch<'a> {
 }
 
 impl<'a> NeighbourSearch<'a> {
-    /// The crossed cell whose index differs from that of `cell` by -1, 0 or 1 along each axis.
+    /// The crossed cell whose index differs from the index of `cell` by -1, 0 or 1 along each axis.
     pub(crate) fn find(&mut self, cell: &SurfaceCell, step: [i32; 3]) -> Option<&'a SurfaceCell> {
         let index: [i32; 3] = std::array::from_fn(|axis| cell.index[axis] + step[axis]);
         if index.iter().zip(&self.cells.shape).any(|(&i, &n)| i < -1 || i >= n) {

@@ -30,7 +30,7 @@ const FLAT_VOXELS: f64 = 1e-3;
 const FAR_VOXELS: f64 = 2.0;
 
 /// A bound on the distance of a point is used in place of the distance if the probes around the point are this many
-/// times as far away. The search within the larger radius then costs less than that of the distance.
+/// times as far away. The search within the larger radius then costs less than the search of the distance.
 const SHORT: f64 = 2.0;
 
 /// Faces are equally near if their distances differ by at most this, local units: a million roundings of float64.

@@ -8,7 +8,7 @@
 //! Planes up to a voxel away do not meet on the surface where it is curved. A vertex within its cell, or the best place
 //! of a vertex outside its cell, is therefore finally corrected: the source is evaluated close to it, at [`NEAR_STEP`]
 //! around a sharp vertex, otherwise at the vertex itself ([`ExtraPlanes::with_nearby`]). A vertex at a crease, or on
-//! small flat faces, moves onto the planes found. On a curved smooth part the plane joins those of the patch: the
+//! small flat faces, moves onto the planes found. On a curved smooth part the plane joins the planes of the patch: the
 //! vertex stays slightly outside, and the faces between vertices slightly inside, so that the volume is kept. Crossings
 //! of a mesh have its faces as planes, so a vertex that lies on all of them needs no correction.
 
@@ -176,7 +176,7 @@ pub(crate) fn around(point: DVec3, step: DVec3) -> [DVec3; PROBES] {
 }
 
 impl LevelSurface {
-    /// The probes of all vertices, or only those of the sharp vertices.
+    /// The probes of all vertices, or only the probes of the sharp vertices.
     pub fn probes(&self, crossings: &[Crossing], extra: &ExtraPlanes, sharp_only: bool) -> Probes {
         let is_sharp = self.sharp_patches(crossings);
         let options = MeshOptions { sharp: true, capped: true };

@@ -66,7 +66,7 @@ pub struct Sweep {
 }
 
 impl Sweep {
-    /// A motion through rows of world-from-body poses, those of all bodies row by row, along screws.
+    /// A motion through rows of world-from-body poses, the poses of all bodies row by row, along screws.
     pub fn of_poses(
         bodies: Bodies,
         poses: &[[[f64; 4]; 4]],

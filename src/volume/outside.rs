@@ -26,7 +26,7 @@
 //! - Case 1: the surface lies in the hull of the voxel centres, as after a bake with a margin. Two convex sets are
 //!   valid: the hull, and the box of the surface in it. Convexity gives `(p - c).(c - q) >= 0` for every `q`, so
 //!   `|p - q|^2 >= a^2 + |c - q|^2` and `d(p) >= sqrt(a^2 + max(0, s^2))`. The bound of the hull is tighter near the
-//!   box, that of the inner box farther away. The larger one is used, and it is positive.
+//!   box, the bound of the inner box farther away. The larger one is used, and it is positive.
 //! - Case 2: it does not, because the user's bounds cut the mesh. Then `d(p) >= s - a` at the nearest point of the
 //!   hull, by the triangle inequality, and `d(p)` is at least the distance to the inner box. The larger one is used; it
 //!   can be zero.

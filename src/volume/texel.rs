@@ -12,7 +12,7 @@ pub trait Texel: Pod + Send + Sync + 'static {
     /// `value` rounded toward zero; `scale` as for [`Encoding::encode`].
     fn encode(value: f32, scale: f32) -> Self;
 
-    /// The distance of a sample; `scale` is that of the largest code.
+    /// The distance of a sample; `scale` as for [`Encoding::decode`].
     fn decode(self, scale: f32) -> f32;
 
     /// Whether the decoded value is above zero, without decoding.

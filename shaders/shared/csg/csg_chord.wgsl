@@ -110,7 +110,7 @@ fn slanted_slab(o: vec3f, d: vec3f, normal: vec3f, half: f32) -> vec2f {
     return slab_chord(dot(normal, o), dot(normal, d), half);
 }
 
-// The chord of a line in a leaf whose surface is moved outwards by `grow`. The kinds are those of leaf_distance.
+// The chord of a line in a leaf whose surface is moved outwards by `grow`. It has the same kinds as leaf_distance.
 fn leaf_chord(leaf: u32, origin: vec3f, direction: vec3f, grow: f32) -> vec2f {
     let o = placed(leaf, origin);
     let d = vec3f(

@@ -1,6 +1,6 @@
 // Nested fields, each twice as fine as the one around it, evaluated as one field. Twin of src/scene/fields/nested.rs,
-// which explains why the field has no jump. Grid space is that of the finest level, extended over the box of the
-// outermost one.
+// which explains why the field has no jump. Grid space is the grid space of the finest level, extended over the box of
+// the outermost one.
 
 #import ray
 

@@ -96,7 +96,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
             if !hit.at_start {
                 normal = surface_normal(p_grid, to_eye);
             } else if ray.enter_axis != NO_AXIS {
-                // The hit lies on a face of the box, which cuts the solid: the normal is that of the face.
+                // The hit lies on a face of the box, which cuts the solid: the normal of the face is used.
                 normal[ray.enter_axis] = select(-1.0, 1.0, to_eye[ray.enter_axis] >= 0.0);
             } else {
                 // The eye is inside the solid.

@@ -24,7 +24,7 @@ struct BeamParams {
 // Cuts of the tree, CUT_NODES words each: nodes, and NO_NODE behind the last one if there are fewer.
 @group(0) @binding(2) var<storage, read> cuts: array<u32>;
 
-// Margin of boxes for rounding, scene units: that of the nodes in src/scene/content/tree.rs.
+// Margin of boxes for rounding, scene units. The nodes in src/scene/content/tree.rs have the same margin.
 const BOX_MARGIN: f32 = 2e-6;
 
 const FAR_VOXELS: f32 = 8.0;
@@ -119,7 +119,7 @@ struct Occluder {
 
 // A search along a beam: through the tree, then through the levels of the far field.
 struct Walk {
-    // Nodes to visit: `node`, those of the stack, and those of the cut from `next_in_cut` on.
+    // Nodes to visit: `node`, the nodes of the stack, and the nodes of the cut from `next_in_cut` on.
     node: u32,
     stack: array<u32, MAX_DEPTH>,
     top: u32,

@@ -11,7 +11,7 @@ struct RasterInstance {
     // Index of the instance in the scene's list.
     index: u32,
     // Direction of the ray through pixel (0, 0), one scene unit of depth long. Its change per pixel along x and y
-    // follows, or that of the start if the rays are parallel.
+    // follows, or the change of the start if the rays are parallel.
     ray: vec3f,
     first_face: u32,
     ray_x: vec3f,

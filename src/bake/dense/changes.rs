@@ -15,7 +15,7 @@
 //!
 //! h is the mean gradient of d between the corners, and l(c) the smallest value that bounds all samples. In the
 //! smallest blocks the tangent of a triangle is then compared with the samples themselves. All of it is float32, and
-//! the margin is that of the culling test of the bake.
+//! the culling test of the bake has the same margin.
 
 use super::super::LocalGrid;
 use super::block::{CORNERS, Linear, SampleBox, max, not_positive, tangents_of_boxes};
@@ -37,8 +37,8 @@ pub(in crate::bake) struct Changes<'a> {
 }
 
 impl<'a> Changes<'a> {
-    /// `triangles` are the changed ones at their old and at their new positions, local units. `samples` are those of
-    /// the whole grid, `scale` world units to the local unit. `half_thickness` is in world units.
+    /// `triangles` are the changed ones at their old and at their new positions, local units. `samples` are the samples
+    /// of the whole grid, `scale` world units to the local unit. `half_thickness` is in world units.
     pub(crate) fn new(
         triangles: &'a Bvh,
         grid: &LocalGrid,

@@ -167,7 +167,7 @@ struct SharedRows<'a> {
 unsafe impl Sync for SharedRows<'_> {}
 
 impl SharedRows<'_> {
-    /// Passes the samples at the position of a tile, and those of the tile, to `put`.
+    /// Passes the samples at the position of a tile, and the samples of the tile, to `put`.
     ///
     /// # Safety
     /// The box `low..high` lies in the grid, and no other thread writes to it.
@@ -283,7 +283,7 @@ impl Tile<'_> {
             stack.extend_from_slice(root);
             self.cull_nodes(&block, of_parent, stack, middle);
 
-            // The nearest triangle of the previous block may be nearer than that of the parent.
+            // The nearest triangle of the previous block may be nearer than the nearest triangle of the parent.
             let mut previous = of_parent;
             for sub in blocks(sub.0, sub.1, [LEAF; 3]) {
                 if self.leaves >> leaf_of_tile(low, sub.0) & 1 == 0 {

@@ -209,7 +209,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(300))]
-        /// The face is that of brute force in float64 and the distance is equal to the bit, near and far.
+        /// The face is the face of brute force in float64, and the distance is equal to the bit, near and far.
         #[test]
         fn the_face_is_that_of_brute_force(
             count in 1usize..400, seed in any::<u64>(), x in -1.0..1.0f64, y in -1.0..1.0f64, z in -1.0..1.0f64,

@@ -44,7 +44,7 @@ impl Mesh {
         best
     }
 
-    /// The intersection of a ray with one face, equal to that of [`Mesh::first_hit`].
+    /// The intersection of a ray with one face, equal to the intersection of [`Mesh::first_hit`].
     pub fn hit_of_face(&self, face: u32, ray: &Ray) -> Option<FaceHit> {
         self.clipped(ray)?.hit(face, self.exact_triangle(face))
     }
@@ -102,7 +102,7 @@ impl Mesh {
         self.traverse_many(rays, near, FirstHits(finish));
     }
 
-    /// [`Mesh::is_occluded`] of many rays. `finish` is that of [`Mesh::first_hits`].
+    /// [`Mesh::is_occluded`] of many rays. `finish` is called as by [`Mesh::first_hits`].
     pub fn are_occluded(&self, rays: impl Iterator<Item = Ray>, near: bool, finish: impl FnMut(usize, bool)) {
         self.traverse_many(rays, near, Occlusion(finish));
     }

@@ -4,7 +4,7 @@
 //! Near rays visit the same nodes, so they share the reads of the nodes and the order of the children. Where few rays
 //! are left, each is searched alone: a search of one ray tests eight boxes at a time.
 //!
-//! The tests are those of [`super::ray_lanes`], with the same operations.
+//! The tests equal the tests of [`super::ray_lanes`], with the same operations.
 
 use super::ray_group::{RayGroup, Slabs};
 use super::ray_lanes::{LaneRay, RayPack};

@@ -172,7 +172,7 @@ mod avx2 {
                 _mm256_and_pd(_mm256_cmp_pd::<_CMP_LE_OQ>(enter, leave), _mm256_cmp_pd::<_CMP_LE_OQ>(start, end));
             let mask = _mm256_movemask_pd(_mm256_and_pd(is_finite, is_long)) as u32;
 
-            // The clipped rays, for their own tests and for those of one box.
+            // The clipped rays, for their own tests and for the tests of one box.
             for lane in 0..HALF {
                 let is_larger = |axis: usize| axes[axis] >> lane & 1 == 1;
                 clips[lane].axis = if is_larger(2) { 2 } else { usize::from(is_larger(1)) };

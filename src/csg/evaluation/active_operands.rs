@@ -1,9 +1,9 @@
 //! The part of a program that decides a field at some points.
 //!
-//! Where the operands of a sharp union differ, the smaller one is the field, and its gradient is that of the field. The
-//! same holds for the other operators, and for blends outside their width. A list of tokens without the operands that
-//! have no effect at any of some points therefore returns the same bits there, for values and for gradients. One
-//! evaluation without gradients finds it.
+//! Where the operands of a sharp union differ, the smaller one is the field, and its gradient is the gradient of the
+//! field. The same holds for the other operators, and for blends outside their width. A list of tokens without the
+//! operands that have no effect at any of some points therefore returns the same bits there, for values and for
+//! gradients. One evaluation without gradients finds it.
 
 use super::program::{Joint, PlacedCombine, Program, Stack};
 use crate::csg::model::token::Token;

@@ -3,8 +3,8 @@
 //! A [`Dual`] is a value and the three partial derivatives of the value. Arithmetic follows the rules of calculus
 //! (forward-mode automatic differentiation; R. Wengert, "A simple automatic derivative evaluation program", 1964), so
 //! the gradient is exact up to rounding. A comparison compares the values alone. Where two operands of a minimum meet
-//! in a crease, the gradient is therefore that of one side, never a mean of both. The value has the bits of the same
-//! evaluation in float64.
+//! in a crease, the result is therefore the gradient of one side, never a mean of both. The value has the bits of the
+//! same evaluation in float64.
 
 use super::scalar::Scalar;
 use glam::DVec3;

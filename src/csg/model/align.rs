@@ -6,7 +6,7 @@ use crate::error::ShapeError;
 use glam::DVec3;
 
 /// The shape moved so that `anchor` of its box lies at the origin: -1 is the lower side, 0 the middle, 1 the upper
-/// side. As in Tangerine, the box is that of the shape with sharp joints: fillets do not enlarge it.
+/// side. As in Tangerine, the box encloses the shape with sharp joints: fillets do not enlarge it.
 pub(crate) fn aligned(shape: &Shape, anchor: DVec3) -> Result<Shape, ShapeError> {
     if !anchor.abs().cmple(DVec3::ONE).all() {
         return Err(ShapeError::argument("anchor", format!("must be from -1 to 1 on every axis, got {anchor}")));

@@ -265,7 +265,7 @@ impl Builder {
             return Err(ShapeError::argument("shape", problem));
         }
         let scale = context.place.scale;
-        // Inside, the units are already those of the world.
+        // Inside, the units are already world units.
         let kind = match kind {
             WarpKind::Elongate(half) => WarpKind::Elongate(scale * half),
             WarpKind::Twist(rate) => WarpKind::Twist(rate / scale),

@@ -23,7 +23,7 @@ use std::sync::{Arc, OnceLock};
 #[derive(Debug, Clone)]
 pub struct Leaf {
     pub primitive: Primitive,
-    /// Placement in world units, or in those of the enclosing warp.
+    /// Placement in world units, or in the units of the enclosing warp.
     pub place: Placement,
     pub paint: Option<Arc<Coat>>,
     /// Bounds of its level sets.

@@ -6,7 +6,7 @@
 //! the pieces' solids, each cut to its box. Operators act on the pieces:
 //!
 //! ```text
-//! a | b    the pieces of both: the nearest hit is that of the union
+//! a | b    the pieces of both: the nearest hit is the hit of the union
 //! a & b    every pair of pieces whose boxes intersect, in the common box
 //! a - b    a piece of a that intersects the box of a piece of b: their difference in the common box, and the piece of
 //!          a in up to 26 boxes around it

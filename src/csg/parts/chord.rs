@@ -18,7 +18,7 @@
 //! surface is moved by [`ERODED`] at most, and what remains between coincident faces is empty at every angle of the
 //! ray, because the erosion acts along the normal and not along the ray. For sharp operators this solid is
 //! `field < -ERODED`, which is also the condition of the march ([`super::trace`]). A wall thinner than `2 * ERODED`
-//! disappears. The depth of a hit is that of the uneroded face.
+//! disappears. A hit has the depth of the uneroded face.
 //!
 //! Quadratics are solved about the point of the line that is nearest to the axis, which avoids cancellation. Hits are
 //! good to a few roundings of float32 over the sine of the angle between the line and the surface.
@@ -89,7 +89,7 @@ impl PartKind {
 /// The normal form of a part of leaves under sharp operators; `None` if it has more than [`MAX_LEAVES`] literals.
 pub(crate) fn steps(program: &Program<f32>, tokens: &[Token]) -> Option<Vec<Step>> {
     let join = |a: &[Step], b: &[Step], step: Step| [a, b, &[step]].concat();
-    // The steps of each operand, and those of its complement.
+    // The steps of each operand, and of its complement.
     let both = fold_postfix::<[Vec<Step>; 2]>(tokens, |operation| {
         let both = match operation {
             Operation::Leaf(leaf) => [false, true].map(|is_complement| vec![Step::Literal { leaf, is_complement }]),
@@ -363,7 +363,7 @@ fn cone(o: Vec3, d: Vec3, [low, high, half_height]: [f32; 3]) -> Chord {
     let c = q.truncate().length_squared() - radius * radius;
     let discriminant = b * b - a * c;
     if discriminant <= 0.0 {
-        // Without roots the sign is that of the quadratic term.
+        // Without roots the function has the sign of the quadratic term.
         return if a < 0.0 { ends } else { Chord::NONE };
     }
     // Roots without cancellation. The first is at infinity if the quadratic term vanishes.

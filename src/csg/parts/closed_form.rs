@@ -40,7 +40,7 @@ impl ClosedForm {
     }
 
     /// The value and the unit gradient of the field at a world point. Where there is no gradient, as at the centre of a
-    /// ball, it is that of one side.
+    /// ball, the gradient of one side is returned.
     pub fn distance_and_gradient(&self, p: DVec3, scratch: &mut Scratch) -> (f64, DVec3) {
         let at = Dual::position(self.solid.frame.local(p)).map(|x| [x]);
         let [value] = self.slopes.run(&self.solid.model.tokens, &at, &mut scratch.slopes);

@@ -159,7 +159,7 @@ impl Octree<'_> {
     }
 
     /// Whether the field may change its sign in a ball, local units. The relevant tokens are then in `scratch.kept`.
-    /// The distances at the centre are those of lane `lane`.
+    /// Lane `lane` has the distances at the centre.
     fn prune(&self, tokens: &[Token], middle: DVec3, radius: f64, lane: usize, scratch: &mut OctreeScratch) -> bool {
         let program = &self.solid.program;
         let OctreeScratch { values, operands: stack, balls, kept, .. } = scratch;
@@ -419,7 +419,7 @@ fn combined(
     }
 }
 
-/// Drops the tokens of `gone`, which are adjacent to those of `left`.
+/// Drops the tokens of `gone`, which are adjacent to the tokens of `left`.
 fn keep(left: CellOperand, gone: CellOperand, kept: &mut Vec<Token>) -> CellOperand {
     if gone.start > left.start {
         kept.truncate(gone.start);

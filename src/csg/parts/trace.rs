@@ -277,7 +277,7 @@ impl<'a> Tracer<'a> {
             let slope = slope(self.solid.precise(), &part.tokens, p.as_dvec3(), NORMAL_STEP, stack);
             return slope.try_normalize().map(|normal| normal.as_vec3());
         }
-        // The surface is that of the leaf whose field is nearest to zero. Where two leaves share it, their normals are
+        // The surface belongs to the leaf whose field is nearest to zero. Where two leaves share it, their normals are
         // equal or opposite. A ray enters the solid from outside, so the normal points against it.
         let at = [[p.x], [p.y], [p.z]];
         let leaves = part.steps.iter().filter_map(|step| match *step {

@@ -153,7 +153,7 @@ impl<'a> Writer<'a> {
         self.colors.take()?.pop()?
     }
 
-    /// The colour of a leaf without masks: that of the outermost coat that covers those below, else of the innermost.
+    /// The colour of a leaf without masks: the outermost coat that covers the coats below, else the innermost, decides.
     fn paint(&mut self, leaf: u32) {
         let Some(mut colors) = self.colors.take() else { return };
         let mut color = None;

@@ -400,10 +400,10 @@ impl Primitive {
             Self::HexPrism { apothem, half_height } => put(&[s * apothem, s * half_height]),
             Self::Extrude { half_height, .. } => put(&[s * half_height]),
             Self::Revolve { offset, .. } => put(&[s * offset]),
-            // The level functions of the first three have gradients of at most sqrt(3), that of the last one sqrt(27).
-            // For the diamond, with t = cos^2 x, Cauchy's inequality bounds the square of the gradient by a linear
-            // function of t with the values 3 - cos^2(y - z) - cos^2(y + z) and 1 + cos^2(y - z) + cos^2(y + z) at its
-            // ends. A test bounds the gradient of I-WP by intervals.
+            // The level functions of the first three have gradients of at most sqrt(3), the last one of at most
+            // sqrt(27). For the diamond, with t = cos^2 x, Cauchy's inequality bounds the square of the gradient by a
+            // linear function of t with the values 3 - cos^2(y - z) - cos^2(y + z) and 1 + cos^2(y - z) + cos^2(y + z)
+            // at its ends. A test bounds the gradient of I-WP by intervals.
             Self::Gyroid { cell, thickness }
             | Self::SchwarzP { cell, thickness }
             | Self::Diamond { cell, thickness }

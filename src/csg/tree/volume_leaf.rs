@@ -2,7 +2,7 @@
 //!
 //! Inside the box of its grid the field is the trilinear one, cut by the box: `max(field, distance to the faces)`, so
 //! the box closes a surface that it cuts. Outside, at distance `a` from the box, it is `sqrt(a^2 + max(0, s)^2)`, where
-//! `s` is the field at the nearest point of the box. Together this is continuous, and its Lipschitz constant is that of
+//! `s` is the field at the nearest point of the box. Together this is continuous, and it has the Lipschitz constant of
 //! the trilinear field: outside, the gradient is a mean of the unit vector away from the box and the gradient along it,
 //! which are perpendicular.
 
@@ -83,7 +83,7 @@ impl VolumeLeaf {
         (n * low).max(n * high).element_sum()
     }
 
-    /// Largest distance from the box of the surface to that of the grid. Between them the field may have any value.
+    /// Largest distance from the box of the surface to the box of the grid. Between them the field may have any value.
     pub fn slack(&self) -> f64 {
         let [low, high] = self.surface;
         (low - self.grid.lower).max(self.grid.upper - high).max_element()

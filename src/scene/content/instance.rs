@@ -164,7 +164,7 @@ impl Instance {
         &materials[self.first_material as usize..][..count]
     }
 
-    /// The triangles that rays of light intersect: those of a mesh that blocks light.
+    /// The triangles that rays of light intersect: the triangles of a mesh that blocks light.
     pub fn casting_triangles(&self) -> Option<&Triangles> {
         self.triangles.as_deref().filter(|_| self.casts_shadow && self.opacity > 0.0)
     }

@@ -70,7 +70,8 @@ impl Triangles {
         Ok(self)
     }
 
-    /// Linear RGBA of the vertices, interpolated with the barycentric weights of the corners, times that of the face.
+    /// Linear RGBA of the vertices, interpolated with the barycentric weights of the corners, times the RGBA of the
+    /// face.
     pub fn color_at(&self, face: u32, weights: [f32; 3]) -> Vec4 {
         let mut color = self.face_colors.get(face as usize).copied().unwrap_or(Vec4::ONE);
         if !self.vertex_colors.is_empty() {
@@ -128,7 +129,8 @@ impl Triangles {
 
     /// Offset from a point of a face to the smooth surface above it, local units: the mean of the offsets to the planes
     /// at the corners that are above the point, by the weights of the corners (Hanika, *Hacking the shadow terminator*,
-    /// Ray Tracing Gems II, 2021). It is zero where the normals are those of the face, and where the surface is hollow.
+    /// Ray Tracing Gems II, 2021). It is zero where the normals equal the normal of the face, and where the surface is
+    /// hollow.
     pub fn to_smooth_surface(&self, face: u32, weights: [f64; 3], is_front: bool) -> Vec3 {
         let corners = self.mesh.triangle(face);
         let p: DVec3 = corners.iter().zip(weights).map(|(&corner, weight)| weight * corner).sum();

@@ -13,7 +13,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 const MOST_BEAMS: u32 = 1 << 18;
 /// Largest number of divided discs in memory at a time: 74 MiB for their parts.
 const MOST_DISCS: u32 = 1 << 15;
-/// Size of the parameters of a stage and the distance to those of the next one, bytes.
+/// Size of the parameters of a stage and the distance to the parameters of the next one, bytes.
 pub(crate) const STAGE_BYTES: u64 = STRIDE as u64 * size_of::<u32>() as u64;
 
 /// Buffers for beams, kept between pictures.
@@ -90,7 +90,7 @@ impl Buffers {
         })
     }
 
-    /// Writes the parameters of kernels that evaluate beams into those of all stages, if they differ.
+    /// Writes the parameters of kernels that evaluate beams into the parameters of all stages, if they differ.
     pub(crate) fn set_beam_params(&self, context: &Context, params: BeamParams) -> Result<(), DeviceError> {
         let mut known = self.beam_params.lock().unwrap_or_else(PoisonError::into_inner);
         if *known == Some(params) {

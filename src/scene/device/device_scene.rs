@@ -169,8 +169,8 @@ impl DeviceScene {
         })
     }
 
-    /// Updates the memory for another scene. Fields and meshes stay if all those of the new scene are in memory; else
-    /// they are uploaded again. Only rows that differ are uploaded.
+    /// Updates the memory for another scene. Fields and meshes stay if all fields and meshes of the new scene are in
+    /// memory; else they are uploaded again. Only rows that differ are uploaded.
     pub(crate) fn update(&mut self, scene: &Scene, far: Option<&Far>) -> Result<(), Error> {
         let context = &self.context;
         if !fields_of(scene, far).all(|field| self.fields.known.contains_key(&address(field))) {

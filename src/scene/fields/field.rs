@@ -50,7 +50,7 @@ pub struct SurfaceAppearance {
 
 /// A solid given by its distances.
 pub trait Field: Send + Sync {
-    /// Transform from the object's own coordinates to those of the field.
+    /// Transform from the object's own coordinates to the coordinates of the field.
     fn field_from_local(&self) -> DAffine3;
 
     /// Lower and upper corner of the grid, field space.

@@ -28,7 +28,7 @@ pub(crate) struct NestedField {
 
 struct NestedLevel {
     field: Arc<dyn Field>,
-    /// Map to its grid space from that of the finest level, along each axis.
+    /// Map to its grid space from the grid space of the finest level, along each axis.
     scale: Vec3,
     offset: Vec3,
     /// Region in its own grid space: between its samples; for the outermost level its whole box.

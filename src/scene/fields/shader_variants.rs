@@ -53,7 +53,7 @@ impl GeometryKinds {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct BeamCases {
     pub has_far: bool,
-    /// Whether some cones are those of occlusion.
+    /// Whether some cones are occlusion cones.
     pub has_wide: bool,
 }
 

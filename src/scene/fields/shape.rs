@@ -3,16 +3,16 @@
 //! # Theory
 //!
 //! Field space is the shape's own local space ([`crate::csg::evaluation::program::LocalFrame`], a model of a size from
-//! 1/2 to 1) in units of 1/[`UNITS`]. Rays are those of [`crate::csg::parts::trace`]: roots of the field, part by part,
-//! each in its own boxes. A distance is the field over its declared Lipschitz constant, which is a lower bound inside
-//! and outside.
+//! 1/2 to 1) in units of 1/[`UNITS`]. Rays are traced as in [`crate::csg::parts::trace`]: roots of the field, part by
+//! part, each in its own boxes. A distance is the field over its declared Lipschitz constant, which is a lower bound
+//! inside and outside.
 //!
 //! Penumbrae need the distance itself. If the shape is not exact, [`Field::distance_guess`] takes several first-order
 //! steps to the surface, each of the field over its gradient. The end point is on the surface to first order, so its
 //! distance is hardly less than the true one, and never less than the bound.
 //!
-//! A distance evaluates every leaf, a ray only those of the parts that it intersects. Beyond [`DISTANCES_UP_TO`] leaves
-//! cones are tested by thin rays.
+//! A distance evaluates every leaf, a ray only the leaves of the parts that it intersects. Beyond [`DISTANCES_UP_TO`]
+//! leaves cones are tested by thin rays.
 
 use super::device_fields::DeviceFields;
 use super::field::{Field, FieldHit, FieldRay, SurfaceAppearance};

@@ -82,8 +82,8 @@ pub(crate) fn compose(
 }
 
 impl LitSurface<'_> {
-    /// Linear RGB of the lit surface. `ambient` is the reflection of all light but that of the lights by a white
-    /// surface.
+    /// Linear RGB of the lit surface. `ambient` is the reflection, by a white surface, of all light that does not come
+    /// from the lights.
     fn shade(&self, scene: &Scene, lights: &Lights, ambient: Vec3, found: &LightSample<'_>) -> Vec3 {
         let material = &scene.materials[self.layer.material as usize];
         let albedo = self.layer.color.truncate();

@@ -237,7 +237,7 @@ struct FaceLight<'a> {
     kinds: [bool; 2],
     buffers: &'a Buffers,
     timer: Option<&'a Timer>,
-    /// Kernels of a bunch, and those of each round.
+    /// Kernels of a bunch, and kernels of each round.
     bunch: Vec<Kernel>,
     round: Vec<Kernel>,
 }
@@ -262,7 +262,7 @@ struct Kernel {
     stage: &'static str,
 }
 
-/// Number of workgroups of a kernel: one, or that of a stage.
+/// Number of workgroups of a kernel: one, or the number of a stage.
 #[derive(Clone, Copy)]
 enum Size {
     One,

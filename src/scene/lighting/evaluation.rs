@@ -3,10 +3,10 @@
 //!
 //! Light changes slowly over most of a picture, and its evaluation is the main cost. A picture at half resolution
 //! therefore evaluates it at every second pixel of every second row, and a picture with several samples per pixel
-//! evaluates it at the centres of the pixels. Every other surface has the bilinearly weighted mean of those of the four
-//! evaluated surfaces around it that belong to the same instance, lie in its plane and have a similar normal (joint
-//! bilateral upsampling: Kopf et al., SIGGRAPH 2007). Where too few of them match, or where they disagree, as at the
-//! edge of a shadow, the light is evaluated. Occlusion and indirect light are smoother than shadows, so they are
+//! evaluates it at the centres of the pixels. Every other surface has the bilinearly weighted mean of the light on the
+//! four evaluated surfaces around it that belong to the same instance, lie in its plane and have a similar normal
+//! (joint bilateral upsampling: Kopf et al., SIGGRAPH 2007). Where too few of them match, or where they disagree, as at
+//! the edge of a shadow, the light is evaluated. Occlusion and indirect light are smoother than shadows, so they are
 //! evaluated on a coarser lattice, and their interpolation regards normals and curvature ([`super::upsampling`]).
 
 use super::device_beams::evaluate_by_beams;
@@ -38,7 +38,7 @@ const LEAST_LATTICE: u32 = 32;
 pub(crate) const FIND_WORTH: u64 = 12;
 
 /// Number of calls of [`find`] and [`find_bounces`], by which a picture of this number of passes counts its progress.
-/// `is_lit` tells that [`find`] is not called, because its results are those of the last picture.
+/// `is_lit` tells that [`find`] is not called, because the results of the last picture are reused.
 pub(crate) fn find_count(options: &RenderOptions, passes: u32, is_lit: bool) -> u64 {
     // The occlusion of a first pass is computed separately from the lights, at its own scale.
     let direct = if is_lit { 0 } else { u64::from(passes) + u64::from(options.occlusion.is_some()) };

@@ -263,7 +263,7 @@ impl<'s, 'a> Around<'s, 'a> {
                 include(BEYOND_WEIGHT * near.weight, values, *normal);
             }
         }
-        // No fraction changes faster than that of a half space, by 1 from one normal to its opposite.
+        // No fraction changes faster than the fraction of a half space, by 1 from one normal to its opposite.
         let slope = (spread.inverse() * change).clamp_length_max(1.0);
         let level = |values: &[f32], of: Vec3| value_of(values) + slope.dot(normal - of);
         let value = average(&|near| level(near.values, near.normal));

@@ -48,7 +48,7 @@ impl<'a> FaceAppearance<'a> {
         }
     }
 
-    /// Opacity without that of the instance. A translucent solid is one layer: a ray counts where it enters.
+    /// Opacity without the factor of the instance. A translucent solid is one layer: a ray counts where it enters.
     pub(crate) fn opacity(&self, is_front: bool) -> f32 {
         let material = self.material();
         let alpha = || {

@@ -25,8 +25,8 @@ pub(crate) struct Layer {
     pub is_from_device: bool,
 }
 
-/// The visible surfaces of a picture, by rows from the top. A row has the layers of its pixels in order, those of one
-/// pixel from front to back.
+/// The visible surfaces of a picture, by rows from the top. A row has the layers of its pixels in order, the layers of
+/// one pixel from front to back.
 #[derive(Debug)]
 pub(crate) struct GBuffer {
     pub rows: Vec<Vec<Layer>>,

@@ -275,8 +275,8 @@ impl<'a, T: Texel> SparseView<'a, T> {
     }
 
     /// The field at the voxel centres around a brick: grid coordinates of the first one, and [`BRICK_LEN`] values, x
-    /// fastest, equal to those of [`SparseView::dense`]. Voxels outside the grid repeat the nearest voxel. None for an
-    /// empty brick, unless the box cuts the solid there.
+    /// fastest, equal to the values of [`SparseView::dense`]. Voxels outside the grid repeat the nearest voxel. None
+    /// for an empty brick, unless the box cuts the solid there.
     pub fn voxels_of_brick(&self, of_brick: [i32; 3]) -> Option<([i32; 3], [f32; BRICK_LEN])> {
         let origin = brick_origin(of_brick, 0);
         let at_box =

@@ -13,7 +13,8 @@ fn field_distance(field: SceneField, p: vec3f) -> f32 {
     return sampled_distance(field, p);
 }
 
-// An estimate of the distance, which may exceed it by a second-order error. `distance` is that of `field_distance`.
+// An estimate of the distance, which may exceed it by a second-order error. `distance` is the result of
+// `field_distance`.
 fn field_guess(field: SceneField, p: vec3f, distance: f32) -> f32 {
     return sampled_guess(field, p, distance);
 }
