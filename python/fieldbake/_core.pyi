@@ -152,8 +152,8 @@ class Bodies:
     ) -> NDArray[np.float64]:
         """Signed distances (k,) of points (m, 3); ``poses`` are world-from-body (configurations * bodies, 4, 4).
 
-        k is the number of configurations times that of points. With ``paired`` the first points are those of the first
-        configuration, and k is the number of points.
+        k is the number of configurations times the number of points. With ``paired`` the first points belong to the
+        first configuration, and k is the number of points.
         """
     def clearance(
         self,
@@ -422,7 +422,7 @@ def orient(
     neighbours: int,
     progress: Callable[[float], object] | None = None,
 ) -> tuple[NDArray[np.float64], Literal["viewpoints", "tree", "winding"]]:
-    """Unit normals (n, 3), and the method that chose their sides. A line of zeros is that of the neighbours."""
+    """Unit normals (n, 3), and the method that chose their sides. Zeros stand for the line of the neighbours."""
 
 def bake_cloud_sparse(
     cloud: PointCloud,
@@ -800,7 +800,7 @@ class Sweep:
         encoding: str = "float32",
         progress: Callable[[float], object] | None = None,
     ) -> tuple[SparseField, int, int]:
-        """The field, the number of its evaluated samples, and that of evaluated distances.
+        """The field, the number of its evaluated samples, and the number of evaluated distances.
 
         ``offset``, ``tolerance`` and ``band`` are in world units.
         """
@@ -1020,14 +1020,13 @@ class Renderer:
     ) -> dict[str, Any]:
         """Draw a scene. ``ambient`` is a number, or a quadratic form of the normal and 1 for each channel, (3, 4, 4).
 
-        ``options`` are those of :func:`fieldbake.render` by name; ``ambient_occlusion`` is a range or None, and ``far``
-        a list of fields.
+        ``options`` are the options of :func:`fieldbake.render` by name; ``ambient_occlusion`` is a range or None, and
+        ``far`` a list of fields.
 
         The result has the keys of :func:`raymarch`, with ``seconds`` as a dict of passes, and further
-        keys: ``rays`` (h, w) uint32, the number of rays and cones for light of each pixel; ``ray_count``, that of the
-        picture; ``far_rays``, the number of those that
-        entered the far field; ``primary_on`` and ``light_on``, the devices of the two passes; ``sheets``, the number of
-        instances whose triangles the CPU traced.
+        keys: ``rays`` (h, w) uint32, the number of rays and cones for light of each pixel; ``ray_count``, their number
+        in the whole picture; ``far_rays``, the number of rays that entered the far field; ``primary_on`` and
+        ``light_on``, the devices of the two passes; ``sheets``, the number of instances whose triangles the CPU traced.
         """
 
 @final
@@ -1160,8 +1159,8 @@ def viewer_shader(
     The first text is the fragment shader of rays. With meshes, their vertex and their fragment shader follow; in "wgsl"
     each text has all entry points of its kernel.
 
-    ``encoding`` is that of all sampled fields, or None if they differ. For each shape the result has the index of its
-    function, the parameters that it reads, the centre and the scale of its local frame, and the inverse of its
+    ``encoding`` is the encoding of all sampled fields, or None if they differ. For each shape the result has the index
+    of its function, the parameters that it reads, the centre and the scale of its local frame, and the inverse of its
     Lipschitz constant; None for a shape without a function.
     """
 

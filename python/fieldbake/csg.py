@@ -82,7 +82,7 @@ class Part(NamedTuple):
         Parameters
         ----------
         language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
-            GLSL is that of WebGL 2 (ES 3.00).
+            GLSL is written for WebGL 2 (ES 3.00).
         name : str, default "distance_to_shape"
             Name of the function. Another name is also put before the names of all other definitions, so that the texts
             of several parts fit into one shader.
@@ -251,7 +251,7 @@ def parse(text: str) -> Shape:
 
     References
     ----------
-    A. Palecek, SDF Decomposition, 2021; the language is that of her program Tangerine.
+    A. Palecek, SDF Decomposition, 2021; the language comes from her program Tangerine.
 
     Examples
     --------

@@ -53,8 +53,8 @@ def signed_distance(vertices: Any, faces: Any, points: Any, mesh: Mesh | None = 
 
     Notes
     -----
-    The derivatives are those of :func:`fieldbake.torch.signed_distance`: exact wherever the closest point is unique,
-    and one-sided on the medial axis. The distance is evaluated on the host by `jax.pure_callback`, so this
+    The derivatives are the same as in :func:`fieldbake.torch.signed_distance`: exact wherever the closest point is
+    unique, and one-sided on the medial axis. The distance is evaluated on the host by `jax.pure_callback`, so this
     function can be compiled by `jax.jit` and mapped by `jax.vmap`. float64 needs ``jax_enable_x64``.
 
     Examples
@@ -176,7 +176,7 @@ def assembly_distance(assembly: Assembly, poses: Any, points: Any) -> Any:
 
     Notes
     -----
-    The derivatives are those of :func:`fieldbake.torch.assembly_distance`. Only reverse mode is provided.
+    The derivatives are the same as in :func:`fieldbake.torch.assembly_distance`. Only reverse mode is provided.
 
     Examples
     --------

@@ -119,7 +119,7 @@ def add(
     Notes
     -----
     The values of MuJoCo are right for such a mesh except at single corners, so :func:`refine` is not necessary. Mass
-    and inertia are those of the solid.
+    and inertia describe the solid.
 
     Examples
     --------

@@ -53,7 +53,7 @@ def signed_distance(vertices: Any, faces: Any, points: Any, mesh: Mesh | None = 
     With the unit gradient g of the distance at a point p, and the weights b of its closest point on the nearest face,
     the derivatives are ``g`` with respect to p and ``-b[k] * g`` with respect to corner k of that face. They are
     the exact first derivatives wherever the closest point is unique. On the medial axis, where several points are
-    equally near, the distance has a kink; the derivative is that of one of its sides. Second derivatives are not
+    equally near, the distance has a kink; the derivative of one of its sides is returned. Second derivatives are not
     provided.
 
     Examples
@@ -170,7 +170,7 @@ def assembly_distance(assembly: Assembly, poses: Any, points: Any) -> Any:
     -----
     With the unit gradient g at a point p, and the closest point y in the frame of its body with the pose T, the
     derivatives are ``g`` with respect to p and ``-outer(g, (y, 1))`` with respect to the upper rows of T. On the medial
-    axis the derivative is that of one of its sides.
+    axis the derivative of one of its sides is returned.
 
     Examples
     --------

@@ -125,7 +125,7 @@ def sample(
                  and 0.0005, and 250,000 points.
     ``onet``     Occupancies, packed into bits, of 100,000 points in a cube of side 1.1, and 100,000 points with normals
                  of the surface; float16.
-    ``vecset``   Occupancies of points in [-1, 1]^3 and near the surface. Only the layout is that of the project.
+    ``vecset``   Occupancies of points in [-1, 1]^3 and near the surface. Only the layout follows the project.
     ``hunyuan``  A closed shell around the mesh; 124,928 points of its surface and as many of its creases, with normals;
                  distances, positive inside, of 249,856 points in [-1.05, 1.05]^3, of 249,856 near the surface and of
                  124,928 near the creases; float16.
@@ -181,7 +181,7 @@ def sample_many(
     Returns
     -------
     list of dict
-        Rows as of :func:`fieldbake.bake_many`. The path is that of the only file, or of the folder of the files.
+        Rows as of :func:`fieldbake.bake_many`. The path names the only file, or the folder of the files.
 
     Raises
     ------
@@ -303,7 +303,7 @@ class Dataset:
         return f"Dataset({len(self)} items, recipe={self.recipe.name!r}, seed={self.seed}, epoch={self.epoch})"
 
     def _check_folder(self, *given: str) -> None:
-        """Refuse arguments that change how samples are drawn, if the samples are those of a folder."""
+        """Refuse arguments that change how samples are drawn, if the samples come from a folder."""
         if self._folder is not None and given:
             raise ArgumentError(f"{given[0]}: does not apply to the finished samples of a folder; pass the meshes")
 

@@ -44,7 +44,7 @@ export interface Backend {
   readonly mostRows: number;
   readonly mostLayers: number;
   readonly isLost: boolean;
-  /** A texture of this size; `values` are all its texels, or those of the first rows. */
+  /** A texture of this size; `values` are all its texels, or the texels of the first rows. */
   texture(kind: TextureKind, size: Vector, values: ArrayBufferView<ArrayBuffer>): Texture;
   shape(triangles: Triangles): Shape;
   /** Resolves when a program is compiled, where the browser compiles beside the page. */

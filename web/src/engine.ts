@@ -64,7 +64,7 @@ export class Resources {
     for (const { shape } of this.surfaces.values()) shape.free();
   }
 
-  /** The triangles of an instance: those of its mesh, or those of its level set. */
+  /** The triangles of an instance: the triangles of its mesh or of its level set. */
   private surface(instance: InstanceData, settings: Settings, isMotion: boolean): Shape {
     const { record } = instance;
     const grid = this.isMesh(instance, settings) ? null : this.data.grid(record, isMotion && this.isCoarse);
@@ -95,7 +95,7 @@ export class Resources {
     return { program: { glsl: rays.glsl.map(set), wgsl: set(rays.wgsl) }, hasTriangles: false };
   }
 
-  /** Whether pictures in motion are triangles: those of views of dense grids without a slice. */
+  /** Whether pictures in motion are triangles: in views of dense grids without a slice. */
   isSurface(settings: Settings): boolean {
     return !settings.slice && !this.data.hasOtherThanDense;
   }

@@ -373,7 +373,7 @@ export class View {
       // This picture has the camera and the settings of a request that came while it waited.
       if (isShown && this.isStale === "moving") this.isStale = null;
       const started = performance.now();
-      // Steps and errors are those of the exact picture.
+      // Steps and errors belong to the exact picture.
       const isFiltered = this.picture === Picture.color;
       // The time for triangles hardly depends on the number of pixels.
       const isTriangles = isFiltered && resources.isSurface(this.settings);
@@ -393,7 +393,8 @@ export class View {
       this.times.moving = spent;
       this.times.width = width;
       this.times.first ||= performance.now();
-      // The time for rays goes with the number of pixels. One slow frame, such as that of a first compilation, changes little.
+      // The time for rays goes with the number of pixels. One slow frame, such as the frame of a first compilation, changes
+      // little.
       const factor = Math.max(0.7, Math.min(1.4, Math.sqrt(spent / MOVING_MS)));
       if (!isTriangles) this.coarseness = Math.max(1, Math.min(COARSEST, this.coarseness * factor));
       else if (!isNew) this.isCoarse = spent > (this.isCoarse ? FAST_MS : MOVING_MS);

@@ -85,7 +85,7 @@ class Assembly(JointedBodies):
 
     @classmethod
     def _made(cls, *state: Any) -> Assembly:
-        """Make an assembly from checked parts: those of :meth:`_set_up`."""
+        """Make an assembly from the checked parts that :meth:`_set_up` takes."""
         assembly = cls.__new__(cls)
         assembly._set_up(*state)
         return assembly
@@ -138,7 +138,7 @@ class Assembly(JointedBodies):
         Parameters
         ----------
         source : path, mujoco.MjSpec or mujoco.MjModel
-            MuJoCo itself reads the file. Values of joints are those of `qpos`, `ref` included.
+            MuJoCo itself reads the file. Values of joints are the values of `qpos`, `ref` included.
         elements : "collision" or "visual", default "collision"
             ``"collision"``: geoms that can collide, whose contype or conaffinity is not 0. ``"visual"``: geoms of the
             groups 0 to 2, which MuJoCo's viewer shows.

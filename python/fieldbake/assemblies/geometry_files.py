@@ -35,7 +35,7 @@ class GeometryFiles:
         owner : str
             The element, for messages.
         folders : sequence of str
-            Folders relative to that of the robot file, in the order in which they are tried.
+            Folders relative to the folder of the robot file, in the order in which they are tried.
 
         Raises
         ------
@@ -57,7 +57,7 @@ class GeometryFiles:
         raise FormatError(f"{self.source}: {owner}: there is no file {name!r}; tried {places}")
 
     def _in_packages(self, name: str, owner: str) -> list[Path]:
-        """The places of ``package://NAME/path``: a named package, else folders at and above that of the robot file.
+        """The places of ``package://NAME/path``: a named package, else the robot file's folder and the folders above.
 
         Packages have a folder of their own name. A robot file usually lies in one of its folders, which may be the
         package itself or be named after it.

@@ -162,7 +162,7 @@ class JointedBodies:
         points : (..., 3) or (b, ..., 3)
             World positions in the configuration of the values, such as `AssemblyQuery.points`.
         roots : mapping of str to (4, 4) or (b, 4, 4), optional
-            Poses of bodies without a parent, those of :meth:`poses`.
+            Poses of bodies without a parent, as for :meth:`poses`.
 
         Returns
         -------
@@ -197,7 +197,7 @@ class JointedBodies:
         try:
             rows = np.broadcast_to(rows, shape)
         except ValueError:
-            raise ArgumentError(f"bodies: must have shape {shape}, that of the points, got {rows.shape}") from None
+            raise ArgumentError(f"bodies: must have shape {shape}, as the points have, got {rows.shape}") from None
         lead = array.shape[:-1]
         frames = forward(self._tree, array, self._root_poses(roots, lead), np)[1]
         result = jacobian(self._tree, frames, rows.reshape(*lead, -1), flat.reshape(*lead, -1, 3))

@@ -101,7 +101,7 @@ def _ordered(names: Sequence[str], parents: NDArray[np.int64]) -> tuple[int, ...
 def _values(
     joints: Sequence[Joint], known: Mapping[str, int]
 ) -> tuple[tuple[int, ...], NDArray[np.float64], NDArray[np.float64]]:
-    """The joints with values of their own, and the linear map from their values to those of all joints."""
+    """The joints with values of their own, and the linear map from their values to the values of all joints."""
     free = tuple(j for j, joint in enumerate(joints) if joint.moves and joint.mimic is None)
     column = {j: i for i, j in enumerate(free)}
     rates, offsets = np.zeros((len(joints), len(free))), np.zeros(len(joints))

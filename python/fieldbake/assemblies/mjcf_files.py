@@ -71,7 +71,7 @@ def rotation(quaternion: Any) -> NDArray[np.float64]:
 
 
 def mesh_of(model: Any, i: int) -> Mesh:
-    """The triangles of mesh `i` in the frame of its octree, which is that of its inertia and of its geoms."""
+    """The triangles of mesh `i` in the frame of its octree, which is the frame of its inertia and of its geoms."""
     vertex, face = model.mesh_vertadr[i], model.mesh_faceadr[i]
     vertices = model.mesh_vert[vertex : vertex + model.mesh_vertnum[i]]
     return Mesh(vertices, model.mesh_face[face : face + model.mesh_facenum[i]])
@@ -98,7 +98,7 @@ def _check_files(path: Path) -> None:
 
 
 def _elements(path: Path, files: GeometryFiles) -> Iterator[Element]:
-    """All elements of an MJCF file, and those of the files that it includes."""
+    """All elements of an MJCF file and of the files that it includes."""
     waiting, seen = [path], {path.resolve()}
     while waiting:
         file = waiting.pop()

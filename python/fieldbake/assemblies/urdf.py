@@ -1,7 +1,7 @@
 """URDF files: links, joints, and the geometry of links.
 
-The format is that of the ROS package urdf (https://wiki.ros.org/urdf/XML). Lengths are metres there, angles radians; a
-cylinder and a capsule have their axis along z, and `length` is that of the whole cylinder, or of the segment of a
+The ROS package urdf defines the format (https://wiki.ros.org/urdf/XML). Lengths are metres there, angles radians; a
+cylinder and a capsule have their axis along z, and `length` is the length of the whole cylinder, or of the segment of a
 capsule.
 """
 

@@ -265,7 +265,7 @@ class Atlas(PageStore, Viewable, Loadable):
         Returns
         -------
         Volume
-            The decoded samples, float32. They equal those of the packed volume if the encoding is float32.
+            The decoded samples, float32. They equal the samples of the packed volume if the encoding is float32.
 
         Raises
         ------
@@ -356,7 +356,7 @@ class Atlas(PageStore, Viewable, Loadable):
         Parameters
         ----------
         language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
-            GLSL is that of WebGL 2 (ES 3.00). Newer versions accept it with another first line.
+            GLSL is written for WebGL 2 (ES 3.00). Newer versions accept it with another first line.
         texels : "pages", "png" or "integers", optional
             Texels that are bound as the texture. ``"pages"``: the texels of :attr:`pages`, in the format R32_FLOAT,
             R16_FLOAT, R16_SNORM or R8_SNORM. ``"png"``: the unsigned integers of the .png that :meth:`save` writes, as
@@ -367,7 +367,7 @@ class Atlas(PageStore, Viewable, Loadable):
         Returns
         -------
         str
-            The struct ``AtlasEntry``, whose bytes are those of :attr:`entries`, and functions: ``atlas_sample(entry,
+            The struct ``AtlasEntry``, whose bytes are stored in :attr:`entries`, and functions: ``atlas_sample(entry,
             p)``, the exact trilinear field; ``atlas_sample_filtered``, the same field by two taps of the hardware
             filter; ``atlas_sample_nearest``; ``atlas_texture_coordinates``. An entry point completes the shader. The
             text stays valid when volumes are added and removed.

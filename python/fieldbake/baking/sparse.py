@@ -55,7 +55,7 @@ def bake_sparse(
         A brick is stored if one of its samples is at most this far from the surface, voxels; at least 2.
     tolerance : float or None, default 0.05
         Largest difference, in voxels, by which a coarser brick may differ from the samples in the band that it
-        replaces. None never uses coarser bricks, so every stored sample equals that of :func:`bake`.
+        replaces. None never uses coarser bricks, so every stored sample equals the sample of :func:`bake`.
     encoding : str, default "float32"
         ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``, rounded toward zero. The largest integer represents
         the band.
@@ -76,9 +76,9 @@ def bake_sparse(
     -----
     The bake of a mesh never makes the dense grid. A shape is evaluated on the dense grid first, 4 bytes per sample.
 
-    Stored distances equal those of :func:`bake`. A brick far from the surface is inside or
-    outside as a whole. On closed meshes this is exact. On open meshes all samples of the brick are tested, and on
-    triangle soups its corners.
+    Stored distances equal the distances of :func:`bake`. A brick far from the surface is inside or outside as a whole.
+    On closed meshes this is exact. On open meshes all samples of the brick are tested, and on triangle soups its
+    corners.
 
     Examples
     --------

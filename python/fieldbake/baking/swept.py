@@ -34,7 +34,7 @@ ROUNDING = 4
 
 @dataclass(frozen=True)
 class SweepReport(Report):
-    """The report of a sweep: that of a bake, with the motion and the offset.
+    """The report of a sweep: the report of a bake, with the motion and the offset.
 
     Attributes
     ----------

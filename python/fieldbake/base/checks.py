@@ -161,7 +161,7 @@ def path(value: object, name: str = "path", error: type[Error] = ArgumentError) 
 
 
 def finite_file(file: Path, error: type[Error]) -> None:
-    """Raise if a path is that of a pipe or a device, whose content may never come or never end."""
+    """Raise if a path names a pipe or a device, whose content may never come or never end."""
     kind = file.stat().st_mode
     if not (stat.S_ISREG(kind) or stat.S_ISDIR(kind)):
         raise error(f"{file}: is a pipe or a device, not a file; copy its content to a file first")

@@ -29,7 +29,7 @@ DTYPES: dict[str, np.dtype[Any]] = {
 #: such as three.js that do not support signed bytes.
 TEXTURE_DTYPES = {**DTYPES, "unorm8": np.dtype(np.uint8)}
 
-#: Names of all encodings, of those with fewer than 32 bits per sample, and of those of pages on the web.
+#: Names of all encodings, of encodings with fewer than 32 bits per sample, and of encodings of pages on the web.
 NAMES: tuple[str, ...] = get_args(Encoding)
 QUANTIZED: tuple[str, ...] = get_args(QuantizedEncoding)
 PAGE_NAMES: tuple[str, ...] = get_args(PageEncoding)

@@ -133,7 +133,7 @@ class Report(Rows):
 
     @classmethod
     def of_mesh(cls, mesh: Any, facts: Mapping[str, Any]) -> Report:
-        """Combine the facts of the core with those of the mesh they describe."""
+        """Combine the facts of the core with the facts of the mesh they describe."""
         sizes = {"vertices": len(mesh.vertices), "chord_error": mesh.chord_error}
         return cls.from_dict({**facts, **sizes})
 

@@ -60,7 +60,7 @@ class Viewable(Pictured):
         path : str or path, optional
             The file to write. The text is returned in any case.
         camera : fieldbake.Camera, optional
-            The first view, a perspective camera. The default is that of :func:`fieldbake.raymarch`: it fits the
+            The first view, a perspective camera. The default is the same as in :func:`fieldbake.raymarch`: it fits the
             surface. A scene has its own first camera; if its objects cover less than half of the picture, the view has
             the direction of that camera and fits them.
         encoding : "snorm8", "float16" or "float32", default "snorm8"
@@ -94,8 +94,7 @@ class Viewable(Pictured):
         mesh in a Scene by the field of its instance. A shape with more than 64 nodes, or with a baked volume in it, is
         drawn by a volume of 192 voxels along the longest side. The title on the page states the field that is drawn in
         place of the object, and the line below the picture states that a mesh is open or has textures. Shadows are
-        hard, colours are those of materials and paint; textures, opacity and scattering are those of
-        :func:`fieldbake.render` alone.
+        hard, colours come from materials and paint; only :func:`fieldbake.render` has textures, opacity and scattering.
         Where the browser has no WebGL 2, or forbids scripts, the page shows a picture.
         """
         text: str = _view("to_html")(self, path, camera, encoding, size)
@@ -108,9 +107,9 @@ class Viewable(Pictured):
         ----------
         **options
             ``camera``, ``encoding`` and ``size`` as for :meth:`to_html`. ``parameters`` is a mapping from names to
-            (least, largest): each parameter gets a slider, and moving it rebuilds the object. For a shape the names are
-            those of its parameters, such as ``"radius"`` or ``"cylinder.radius"``. With ``model``, a function that
-            returns an object, the names are those of its arguments.
+            (least, largest): each parameter gets a slider, and moving it rebuilds the object. For a shape, use the
+            names of its parameters, such as ``"radius"`` or ``"cylinder.radius"``. With ``model``, a function that
+            returns an object, use the names of its arguments.
 
         Returns
         -------

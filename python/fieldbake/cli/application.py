@@ -48,7 +48,7 @@ err = Errors(stderr=True, highlight=False)
 COMMANDS = {
     "bake": (
         "commands",
-        "Bake the signed distance field of a mesh into a file, or those of many meshes into a folder.",
+        "Bake the signed distance field of a mesh into a file, or the fields of many meshes into a folder.",
     ),
     "info": ("files", "Describe the contents of files."),
     "check": (

@@ -158,7 +158,7 @@ def bake(
     ] = False,
     device: Device = "auto",
 ) -> None:
-    """Bake the signed distance field of a mesh into a file, or those of many meshes into a folder."""
+    """Bake the signed distance field of a mesh into a file, or the fields of many meshes into a folder."""
     if not is_stream(output) and (not output.suffix or output.is_dir()):
         if sparse or engine is not None or mipmaps:
             raise typer.BadParameter(

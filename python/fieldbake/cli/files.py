@@ -60,7 +60,7 @@ def convert(
         Path, typer.Argument(help=f"The file to write: {', '.join((*FIELDS, *MESHES))}; - writes standard output.")
     ],
     encoding: Annotated[
-        Encoding | None, typer.Option(help="Encoding of the samples; the default is that of the file.")
+        Encoding | None, typer.Option(help="Encoding of the samples; the default is the file's encoding.")
     ] = None,
     band: Band = None,
     engine: Engine = None,

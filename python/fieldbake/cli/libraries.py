@@ -25,7 +25,7 @@ def sample(
     count: Annotated[
         int | None,
         typer.Option(
-            "--count", "-n", help="Number of points for each mesh. The default is 500000, or that of the recipe."
+            "--count", "-n", help="Number of points for each mesh. The default is 500000, or the recipe's number."
         ),
     ] = None,
     uniform: Annotated[

@@ -29,7 +29,7 @@ def cook(
     output: Annotated[Path, typer.Option("--output", "-o", help="The .mjb file to write; with --solid an .xml file.")],
     depth: Annotated[
         int | None,
-        typer.Option(min=1, max=MAX_DEPTH, help="Largest depth of the octrees; the default is that of the file."),
+        typer.Option(min=1, max=MAX_DEPTH, help="Largest depth of the octrees; the default is the depth in the file."),
     ] = None,
     solid: Annotated[
         bool,

@@ -1,4 +1,4 @@
-"""The options of pictures on the command line: those of :func:`fieldbake.render`, with the same defaults and order."""
+"""The options of pictures on the command line, with the names, defaults and order of :func:`fieldbake.render`."""
 
 from __future__ import annotations
 

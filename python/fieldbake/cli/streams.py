@@ -68,7 +68,7 @@ def check_clobber(output: Path) -> None:
 
 @contextmanager
 def input_file(path: Path, kind: str | None, recognise: Callable[[bytes], str | None] | None = None) -> Iterator[Path]:
-    """Yield a file to read: `path`, or a copy of standard input if the path is that of a stream.
+    """Yield a file to read: `path`, or a copy of standard input if the path names a stream.
 
     `recognise` returns the ending of the format that the first bytes imply, by default one of a mesh or a field.
     """
@@ -92,7 +92,7 @@ def input_file(path: Path, kind: str | None, recognise: Callable[[bytes], str | 
 
 @contextmanager
 def output_file(path: Path, kind: str) -> Iterator[Path]:
-    """Yield a file to write: `path`, or a file that is copied to standard output if the path is that of a stream."""
+    """Yield a file to write: `path`, or a file that is copied to standard output if the path names a stream."""
     if not is_stream(path):
         yield path
         return

@@ -122,9 +122,9 @@ def raymarch(
     directional lights without penumbrae; the CPU draws them otherwise.
 
     With ``filter="nearest"`` the value at a point is the sample of the voxel that contains it, as in
-    ``volume.sample(points, filter="nearest")``. The solid is then a union of voxels, so this picture is both that of a
-    point filter and a view of the voxels. It has hard shadows or none, and a graphics device decodes quantised and
-    sparse volumes to the whole grid for it.
+    ``volume.sample(points, filter="nearest")``. The solid is then a union of voxels, so this picture is both the
+    picture of a point filter and a view of the voxels. It has hard shadows or none, and a graphics device decodes
+    quantised and sparse volumes to the whole grid for it.
 
     References
     ----------

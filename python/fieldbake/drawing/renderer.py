@@ -123,7 +123,7 @@ class Renderer:
             The view. The default is the first camera of the scene, or else a camera that fits the bounds of the
             instances in this frame.
         lights : sequence of PointLight, SpotLight and DirectionalLight, optional
-            At most 16 lights in place of those of the scene.
+            At most 16 lights in place of the lights of the scene.
         transforms : (n, 4, 4), optional
             World from the object's own coordinates, one matrix for each instance of the scene. In a list, None is the
             instance's own transform.

@@ -294,10 +294,10 @@ def render(scene: Any, camera: Camera | None = None, **options: Unpack[RenderOpt
         ``"bounces"`` where there are any and, for a graphics device, ``"upload"``), ``device_milliseconds``, the time
         of the kernels on a device with timestamps (``"primary"``; ``"beams"``, ``"rays"``, ``"cones"``, ``"parts"`` and
         ``"edges"`` of the light; ``"thicknesses"`` of objects that scatter light; empty for more than 2,048 passes),
-        ``reused``, the stages whose results are those of the last frame of a :class:`Renderer`, ``sheets``, the number
-        of instances whose triangles are traced for cones of light too, and two counters:
-        ``rays``, the number of shadow, occlusion, scattering and bounce rays and cones, and ``far_rays``, the number of
-        those that entered the far field.
+        ``reused``, the stages whose results are reused from the last frame of a :class:`Renderer`, ``sheets``, the
+        number of instances whose triangles are traced for cones of light too, and two counters: ``rays``, the number of
+        shadow, occlusion, scattering and bounce rays and cones, and ``far_rays``, the number of those that entered the
+        far field.
 
     Raises
     ------

@@ -97,9 +97,9 @@ def atomic_write(
 ) -> Iterator[IO[bytes]]:
     """Open a temporary file that replaces the target when the ``with`` block ends without an error.
 
-    A symbolic link stays, and the file that it points to is replaced. Other hard links keep the old content. The
-    permissions are those of the old file, or those that `open` gives to a new one. ``replacing(stream)`` is entered
-    when the content is complete and left when the target is replaced.
+    A symbolic link stays, and the file that it points to is replaced. Other hard links keep the old content. The file
+    has the permissions of the old file, or those that `open` gives to a new one. ``replacing(stream)`` is entered when
+    the content is complete and left when the target is replaced.
     """
     # An error raised here names the target. An error raised later would name the temporary file.
     check_target(target)

@@ -1,7 +1,7 @@
 """Fields and atlases of the contents of files that other programs share.
 
 The records of the formats read the files. A file of another program has no metadata of fieldbake, and the box of the
-volume is that of its grid. The JSON beside ``name.exr`` is ``name.exr.json``.
+volume is the box of its grid. The JSON beside ``name.exr`` is ``name.exr.json``.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def _own(samples: NDArray[np.float32], facts: dict[str, Any], band: float = 0.0)
 
 
 def _placed(grid: GridSamples) -> Volume:
-    """Make a volume of a grid. Without metadata its box is that of the grid."""
+    """Make a volume of a grid. Without metadata its box is the box of the grid."""
     if grid.facts is not None:
         return _own(grid.samples, grid.facts, grid.band)
     try:

@@ -46,7 +46,7 @@ class NestedField(Loadable, Shaded, Convertible, Pictured):
 
     *Bound.* Let `d` be the distance to the scene. Each value is a mean, with weights that are not negative, of samples
     `s(q)` at positions `q` around the point `p`. The weighted mean of the positions is `p` itself, because the weights
-    are those of trilinear interpolation, applied once, or twice at the edge of a level. No sample of a merged field
+    come from trilinear interpolation, applied once, or twice at the edge of a level. No sample of a merged field
     exceeds `d(q)`, and ``d(q) <= d(p) + |p - q|``. So the value exceeds `d(p)` by at most the mean of ``|p - q|``,
     which is at most the root of the mean of its square. In a cell of side `h`, at the fraction `f` of the cell, that
     mean square is ``f (1 - f) h^2 <= h^2 / 4`` along each axis. Where interpolation is applied twice, every finer

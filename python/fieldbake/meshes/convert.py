@@ -391,7 +391,7 @@ def _from_scene(scene: Any, name: str, document: Document | None = None) -> list
 def _from_trimesh(mesh: Any, name: str = "", document: Document | None = None) -> _Piece:
     """Convert the geometry and material of a trimesh.Trimesh, or of any object with vertices and faces.
 
-    Colours of trimesh and of PLY files are sRGB for display, those of glTF files (`document`) are linear.
+    Colours of trimesh and of PLY files are sRGB for display, colours of glTF files (`document`) are linear.
     """
     vertices = np.asarray(check_vertices(mesh.vertices))
     faces = check_faces(mesh.faces)

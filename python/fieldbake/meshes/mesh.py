@@ -119,7 +119,7 @@ class Mesh(Viewable, Sectioned):
         self._parts = self._placed(parts)
 
     def _colors_of_faces(self) -> NDArray[np.float32] | None:
-        """Select the colours of the kept faces from those of the faces of the input."""
+        """Select the colours of the kept faces from the colours of the faces of the input."""
         colors = self._input_face_colors
         return None if colors is None else checks.frozen(colors[self._core.source_faces])
 
@@ -278,9 +278,9 @@ class Mesh(Viewable, Sectioned):
         Returns
         -------
         Mesh
-            A mesh whose results are equal, bit for bit, to those of a new `Mesh` of these positions and the faces of
-            the input. Only the choice between equally near faces may differ. Texture coordinates, colours and parts
-            are those of this mesh.
+            A mesh whose results are equal, bit for bit, to the results of a new `Mesh` of these positions and the faces
+            of the input. Only the choice between equally near faces may differ. Texture coordinates, colours and parts
+            are taken from this mesh.
 
         Raises
         ------
@@ -290,7 +290,7 @@ class Mesh(Viewable, Sectioned):
         Notes
         -----
         The search tree, if it has been built, is refitted to the new positions in linear time. It is built again once
-        its cost by the surface area heuristic is 1.5 times that of its build, or if other faces are degenerate. The
+        its cost by the surface area heuristic is 1.5 times the cost of its build, or if other faces are degenerate. The
         connectivity is kept as long as the same vertices coincide. All properties that depend on positions are
         computed again.
 
@@ -323,7 +323,7 @@ class Mesh(Viewable, Sectioned):
     def topology(self) -> dict[str, Any]:
         """Return the properties of the surface after equal positions were welded.
 
-        The keys are those of :class:`Report`: ``boundary_edges``, ``nonmanifold_edges``, ``flipped_faces``,
+        The keys are named as in :class:`Report`: ``boundary_edges``, ``nonmanifold_edges``, ``flipped_faces``,
         ``duplicate_faces``, ``degenerate_faces``, ``dropped_vertices`` and ``components`` are numbers, and ``closed``
         is a bool.
         """
@@ -391,8 +391,8 @@ def restore(
 ) -> Mesh:
     """Restore the mesh that `Mesh.__reduce__` pickled.
 
-    `rows` are the rows of the input vertices that were kept. `face_colors` and `part_rows` are those of all faces of
-    the input.
+    `rows` are the rows of the input vertices that were kept. `face_colors` and `part_rows` belong to all faces of the
+    input.
     """
     mesh = Mesh.__new__(Mesh)
     if rows is not None:

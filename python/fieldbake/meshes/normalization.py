@@ -27,7 +27,7 @@ class Normalized(NamedTuple):
     """
 
     mesh: Mesh
-    #: 4x4 matrix from the positions of the original to those of `mesh`; column vectors.
+    #: 4x4 matrix from the positions of the original to the positions of `mesh`; column vectors.
     transform: NDArray[np.float64]
 
 

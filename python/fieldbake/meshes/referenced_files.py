@@ -33,8 +33,8 @@ def resolver_beside(file: Path) -> Any:
 def _beside(file: Path, name: str) -> Path:
     """Find a file by the name that a mesh file has for it.
 
-    Separators may be those of Windows. Exporters write absolute names and names of folders that are not there, so the
-    last part of a name is looked for beside the mesh file too. The name decides what lies in the folder: a symbolic
+    The separators of Windows are allowed. Exporters write absolute names and names of folders that are not there, so
+    the last part of a name is looked for beside the mesh file too. The name decides what lies in the folder: a symbolic
     link there is followed.
     """
     path = posixpath.normpath(name.strip().replace("\\", "/"))

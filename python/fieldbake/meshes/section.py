@@ -176,7 +176,7 @@ class Sectioned:
         Returns
         -------
         list of Section
-            One section for each origin; errors, warnings and methods are those of :meth:`section`.
+            One section for each origin; errors, warnings and methods are the same as in :meth:`section`.
 
         Examples
         --------
@@ -194,7 +194,7 @@ class Sectioned:
 def frames(origins: ArrayLike, normal: ArrayLike | str) -> list[Array]:
     """World from section for planes through `origins` (n, 3), (4, 4) each.
 
-    The x axis is the world axis after that of the largest component of the normal, moved into the plane.
+    The x axis is the world axis after the axis of the largest component of the normal, moved into the plane.
     """
     points, shape = checks.points(origins, "origins")
     if len(shape) > 1:
@@ -273,7 +273,7 @@ class MeshCut:
 
 
 def _products(points: Array, vector: Array) -> Array:
-    """Scalar products of points (n, 3) with a vector, (n,). Equal points have equal products, unlike those of BLAS."""
+    """Scalar products of points (n, 3) with a vector, (n,). Equal points have equal products, unlike in BLAS."""
     found: Array = points[:, 0] * vector[0] + points[:, 1] * vector[1] + points[:, 2] * vector[2]
     return found
 

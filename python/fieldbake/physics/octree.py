@@ -92,7 +92,7 @@ class Octree:
         lows, sides = rounded[:, 0], rounded[:, 1]
         # A quarter of a step is far above the rounding of boxes, and below the offset of any other division of them.
         if not (np.abs(exact - rounded).max() <= 0.25 and (sides == sides[:, :1]).all() and sides.min() >= 2):
-            raise Error("mujoco: the octree of the model has another layout than that of MuJoCo 4; its boxes do not "
+            raise Error("mujoco: the octree of the model has another layout than in MuJoCo 4; its boxes do not "
                         "halve the root box, or it is deeper than 15 levels")  # fmt: skip
         lows, sides = lows.astype(np.int64), sides.astype(np.int64)
         keys = _keys(lows[:, None] + CORNERS * sides[:, None])

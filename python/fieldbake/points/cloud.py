@@ -55,7 +55,7 @@ class PointReport(Rows):
     low_opacity : int
         Number of splats that were dropped for their opacity.
     round_splats : int
-        Number of splats without a smallest axis. Their lines are those of their neighbours.
+        Number of splats without a smallest axis. Their lines come from their neighbours.
     seconds : mapping of str to float
         Duration of each stage, seconds.
 
@@ -229,7 +229,7 @@ class PointCloud:
 
     @classmethod
     def _wrap(cls, *arguments: Any, **facts: Any) -> PointCloud:
-        """Make a cloud of checked arrays: those of `_set`."""
+        """Make a cloud of the checked arrays that `_set` takes."""
         cloud = cls.__new__(cls)
         cloud._set(*arguments, **facts)
         return cloud

@@ -134,7 +134,7 @@ def _splats(columns: Mapping[str, Array], opacity: float) -> PointCloud:
     # Scales are logarithms, so a difference is a ratio.
     ordered = np.sort(scales, axis=1)
     is_round = ordered[:, 0] - ordered[:, 1] > np.log(ROUND)
-    # A line of zeros is that of the neighbours.
+    # A line of zeros stands for the line of the neighbours.
     lines[is_round] = 0.0
     facts = {"low_opacity": int(np.count_nonzero(~kept)), "round_splats": int(np.count_nonzero(is_round))}
     points, _ = checks.points(columns["points"][kept])

@@ -34,7 +34,7 @@ def linearize(vertices: NDArray[Any], faces: NDArray[Any], points: NDArray[Any],
     found = query(mesh, points)
     rows = mesh._core.source_faces[found.faces]
     if rows.size and rows.max() >= len(faces):
-        raise ArgumentError(f"mesh: has {len(mesh.faces)} faces, which are not those of faces ({len(faces)} rows)")
+        raise ArgumentError(f"mesh: has {len(mesh.faces)} faces, which differ from faces ({len(faces)} rows)")
     kind = np.asarray(points).dtype
     return Linear(
         found.distances.astype(kind),

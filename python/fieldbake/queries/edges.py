@@ -117,8 +117,8 @@ def sample_edges(
         An edge is sharp if the angle between the normals of its two faces exceeds this, degrees from 0 to 180. Edges
         with one face, or with three and more, are sharp too.
     seed : int, default 0
-        From 0 to 2^64 - 1. The same seed gives the same points; the first points of a longer sample are those of a
-        shorter one.
+        From 0 to 2^64 - 1. The same seed gives the same points; a longer sample starts with the points of a shorter
+        one.
     progress : bool or callable, optional
         True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 

@@ -42,7 +42,7 @@ class ClosestPoints:
     barycentric : (..., 3) float64
         Weights of the face's corners, from 0 to 1; their sum is 1. (1, 0, 0) for a cloud.
     normals : (..., 3) float64
-        Unit normals of the faces, by their own winding; those of the points for a cloud, zeros if it has none.
+        Unit normals of the faces, by their own winding; normals of the points for a cloud, zeros if it has none.
 
     Examples
     --------
@@ -203,7 +203,7 @@ def query(
     The gradient at p with closest point c is ``(p - c) / |p - c|``, negated inside. On the surface it is the
     angle-weighted pseudonormal, turned away from the inside. Where several closest points are equally near (on the
     medial axis) the distance has no gradient, and the one of the face with the lowest row is returned.
-    With ``sign="unsigned"`` distances are unsigned and gradients those of the unsigned distance.
+    With ``sign="unsigned"`` distances are unsigned, and gradients are gradients of the unsigned distance.
 
     A scene is searched on the CPU, by the winding number. Where instances overlap, the distance is the depth in one of
     them, not the distance from the surface of their union.

@@ -111,7 +111,7 @@ def cast_rays(
     Notes
     -----
     The intersections are watertight: a ray from inside a closed mesh always hits a face, also through an edge or a
-    vertex. The test is that of Woop, Benthin and Wald, *Watertight Ray/Triangle Intersection* (2013), in float64, with
+    vertex. The test follows Woop, Benthin and Wald, *Watertight Ray/Triangle Intersection* (2013), in float64, with
     exact predicates where it gives zero.
 
     A graphics device searches in float32 for the faces that a ray may hit, and the CPU computes the hits of these faces

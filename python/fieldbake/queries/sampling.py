@@ -87,8 +87,8 @@ def sample_surface(mesh: MeshLike, n: int, *, seed: int = 0, progress: Progress 
     n : int
         Number of points.
     seed : int, default 0
-        From 0 to 2^64 - 1. The same seed gives the same points on every platform and any number of threads; the first
-        points of a longer sample are those of a shorter one.
+        From 0 to 2^64 - 1. The same seed gives the same points on every platform and any number of threads; a longer
+        sample starts with the points of a shorter one.
     progress : bool or callable, optional
         True draws a bar on stderr; a callable receives the finished fraction from 0 to 1.
 
@@ -154,7 +154,7 @@ def sample_training(
         As for :func:`closest_point`.
     dtype : "float64" or "float32", default "float64"
         Type of the points, distances and gradients. With ``"float32"`` the points are rounded first and the distances
-        are those of the rounded points. Far from the origin the rounding moves points by more than they are from the
+        belong to the rounded points. Far from the origin the rounding moves points by more than they are from the
         surface; :func:`normalize` the mesh there.
 
     Returns

@@ -70,7 +70,7 @@ def worker_count(executor: Any) -> int:
     client = dask_client(executor)
     if client is not None:
         return max(1, sum(int(threads) for threads in client.nthreads().values()))
-    # Pools of concurrent.futures have the first attribute, those of mpi4py the second.
+    # Pools of concurrent.futures have the first attribute, pools of mpi4py the second.
     for name in ("_max_workers", "num_workers"):
         count = getattr(executor, name, None)
         if isinstance(count, int) and count > 0:

@@ -54,9 +54,9 @@ def bake_many(
     ----------
     items : iterable of mesh files, meshes, (vertices, faces), shapes or callables; or a mapping of stems to those
         Everything that :func:`bake` takes, except shapes that contain a volume. A callable without arguments returns
-        such a mesh or shape; it runs where the item is baked. The result is ``out/STEM.npz``. The stem is that of the
-        file, the key of a mapping, the name of a function, or else ``item-`` and the position of the item. Files with
-        equal stems keep their ending: ``out/STEM.obj.npz`` and ``out/STEM.ply.npz``.
+        such a mesh or shape; it runs where the item is baked. The result is ``out/STEM.npz``. The stem is the stem of
+        the file, the key of a mapping, the name of a function, or else ``item-`` and the position of the item. Files
+        with equal stems keep their ending: ``out/STEM.obj.npz`` and ``out/STEM.ply.npz``.
     out : path
         Folder for the results and for ``ledger.jsonl``; it is made if it is missing.
     executor : optional
@@ -64,15 +64,15 @@ def bake_many(
     on_error : "record" or "raise", default "record"
         Record the error of an item and continue, or raise the first one.
     resume : bool, default True
-        Skip items whose content and options are those of a finished result. Failed items are tried again.
+        Skip items with the content and options of a finished result. Failed items are tried again.
     limit_s : float, optional
         Time limit of an item, seconds. An item that takes longer is stopped and counts as failed.
     workers : int, optional
         Number of items that are baked at the same time without an `executor`. By default the number of cores.
     format : str, default "npz"
-        Ending of the results; those of :meth:`Volume.save`.
+        Ending of the results; :meth:`Volume.save` lists the endings.
     encoding : str, optional
-        Encoding of the results, as for :meth:`Volume.save`. In ``.npz`` files it is that of
+        Encoding of the results, as for :meth:`Volume.save`. In ``.npz`` files it is the encoding of
         :meth:`Volume.quantize`, with `band` or 4 voxels.
     progress : bool or callable, optional
         True draws a bar on stderr; a callable receives the finished fraction of items.
@@ -125,12 +125,12 @@ def sample_many(
 ) -> list[dict[str, Any]]:
     """Draw training samples of each item; arguments and rows as for :func:`bake_many`.
 
-    Items are meshes; for a shape, pass ``shape.to_mesh()``. The options are those of :func:`sample_training`, and
+    Items are meshes; for a shape, pass ``shape.to_mesh()``. The options are the options of :func:`sample_training`, and
     `normalize`: ``"unit cube"`` or ``"unit sphere"``, the target of :func:`normalize` for each mesh. A result is an
     .npz file of ``points`` (n, 3), float64 or `dtype`, and the float32 ``distances`` (n,) and ``gradients`` (n, 3) at
-    these points. With `normalize` it has the ``transform`` (4, 4), float64, from the positions of the mesh to those of
-    the points. If `out` ends in ``.zarr``, it is a group of these arrays in one Zarr store. In the report of a row,
-    ``undecided_voxels`` is the number of points whose sign is uncertain.
+    these points. With `normalize` it has the ``transform`` (4, 4), float64, from the positions of the mesh to the
+    positions of the points. If `out` ends in ``.zarr``, it is a group of these arrays in one Zarr store. In the report
+    of a row, ``undecided_voxels`` is the number of points whose sign is uncertain.
 
     With a `recipe`, the options are its numbers, ``seed``, ``sign`` and ``device``; see
     :func:`fieldbake.training.sample_many`.

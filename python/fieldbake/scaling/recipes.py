@@ -77,7 +77,7 @@ class Recipe:
         mesh : Mesh or anything :func:`fieldbake.bake` takes
             The mesh.
         **numbers
-            Values that replace those of `numbers`.
+            Values that replace the values of `numbers`.
 
         Raises
         ------
@@ -148,7 +148,7 @@ def checked_options(recipe: Recipe, options: Mapping[str, Any]) -> dict[str, Any
 
 
 def checked_numbers(recipe: Recipe, numbers: Mapping[str, Any]) -> dict[str, Any]:
-    """Check the numbers of a call and add those of the recipe."""
+    """Check the numbers of a call and add the numbers of the recipe."""
     for name in numbers:
         if name not in recipe.numbers:
             raise ArgumentError(
@@ -259,7 +259,7 @@ _ONET = _recipe(
         _STORED.format(project="The project evaluates them before the points are rounded to float16."),
         "The mesh itself is sampled. The project first fuses depth images into a closed mesh, and takes loc and scale "
         "from the mesh before that.",
-        "Types are those of the options --float16 and --packbits of build.sh. The loader adds noise of 1e-4 to points.",
+        "Types follow the options --float16 and --packbits of build.sh. The loader adds noise of 1e-4 to points.",
     ),
     files={"points": "{stem}/points.npz", "pointcloud": "{stem}/pointcloud.npz"},
     _frame=rules.onet_frame,
@@ -287,7 +287,7 @@ _VECSET = _recipe(
         "category": "03001627",
     },
     deviations=(
-        "Only the layout is that of the project, which published samples but not its sampler. Counts, offsets, types "
+        "Only the layout follows the project, which published samples but not its sampler. Counts, offsets, types "
         "and the normalisation are choices of fieldbake; they could not be compared with the published samples.",
         "The cube of vol_points is [-1, 1]^3, in which eval.py evaluates. Half of near_points has each deviation.",
         "The loader also opens lists of models in the folder of a category: train.lst, val.lst and test.lst. They are "
@@ -379,9 +379,9 @@ _DORA = _recipe(
     deviations=(
         _LABELS.format(project="in place of pysdf"),
         _STORED.format(project="The project evaluates them before the points are rounded to float32."),
-        "The mesh itself is sampled, so its normals are those of its faces. The project first makes a closed shell on "
+        "The mesh itself is sampled, with the normals of its faces. The project first makes a closed shell on "
         "a device, by to_watertight_mesh.py, and keeps its largest component.",
-        "Edges are those of the welded mesh, and edges without exactly two faces are sharp. The project takes the "
+        "Edges belong to the welded mesh, and edges without exactly two faces are sharp. The project takes the "
         "sharp edges of Blender, which have two faces.",
         "Without sharp edges the arrays for edges hold points of the surface, with a warning; the project writes no "
         "file.",

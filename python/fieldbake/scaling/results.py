@@ -48,7 +48,7 @@ class Asset:
     content: str | None
     #: Hash of the mesh of a callable at the last run. If the hash is the same, the result of that run is kept.
     known: str | None = None
-    #: Name of the recipe of samples; None for those of `draw_training`.
+    #: Name of the recipe of samples; None for samples of `draw_training`.
     recipe: str | None = None
 
 

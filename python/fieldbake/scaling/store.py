@@ -81,7 +81,7 @@ class Place:
         while inner is not None:
             if isinstance(inner, zarr.storage.MemoryStore) or type(inner).__name__ == "MemoryFileSystem":
                 return False
-            # The store of a wrapper, the file system of a store, and that of a cache.
+            # The store of a wrapper, the file system of a store, and the file system of a cache.
             parts = getattr(inner, "__dict__", {})
             inner = next((parts[name] for name in ("_store", "sync_fs", "fs") if name in parts), None)
         return True

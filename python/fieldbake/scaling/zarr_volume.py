@@ -229,7 +229,7 @@ class ZarrVolume(GridField):
         Returns
         -------
         Volume
-            In the encoding of the store. Its samples are those of the store, bit for bit.
+            In the encoding of the store. Its samples equal the samples of the store, bit for bit.
 
         Raises
         ------

@@ -141,7 +141,7 @@ class SceneBuilder:
                     part = Part("quadric", color=(red, green, blue, 1.0))
                     rows.add(number, instance, None, field, [Look.of(instance.material, part)])
             elif isinstance(geometry, Mesh):
-                # A material with a colour or a texture replaces those of the mesh.
+                # A material with a colour or a texture replaces the colours and the texture of the mesh.
                 material = instance.material
                 keeps_colors = material is None or (material.color is None and material.texture is None)
                 is_colored = keeps_colors and (geometry.vertex_colors is not None or geometry.face_colors is not None)
@@ -202,7 +202,7 @@ class SceneBuilder:
     def _baked(self, mesh: Mesh, resolution: int, device: str, looks: Sequence[Look], sheet: Sheet) -> _core.SceneField:
         if any(look.alpha_mode == "mask" for look in looks):
             return field_cache.of_mesh(mesh, resolution, device, looks)
-        # Without masks the field is that of the whole mesh.
+        # Without masks the field covers the whole mesh.
         key = id(mesh), resolution, sheet.is_traced
         if key not in self._fields:
             self._fields[key] = field_cache.of_mesh(mesh, resolution, device, looks)

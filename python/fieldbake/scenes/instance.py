@@ -37,10 +37,10 @@ class Instance:
     Parameters
     ----------
     geometry : Mesh, Volume, SparseVolume, NestedField, ``atlas[i]``, Shape, Quadric, list of Quadric, or any mesh
-        A mesh is rasterised, and rays of light intersect its triangles. Its soft shadow and its occlusion are those of
-        its distance field, which is baked when needed and kept; those of a flat or thin mesh, an open sheet and a mesh
-        with a mask or a translucent texture are those of its triangles. Rays intersect all other objects directly: a
-        volume at the roots of its cells, a shape at those of its parts (``fb.bake(shape)`` makes a volume of it), a
+        A mesh is rasterised, and rays of light intersect its triangles. Its soft shadow and its occlusion come from its
+        distance field, which is baked when needed and kept. For a flat or thin mesh, an open sheet and a mesh with a
+        mask or a translucent texture they come from its triangles. Rays intersect all other objects directly: a volume
+        at the roots of its cells, a shape at the roots of its parts (``fb.bake(shape)`` makes a volume of it), a
         quadric in closed form. The quadrics of a list are one object.
     transform : (4, 4), optional
         World from the object's own coordinates: any affine map that has an inverse. The default is the identity, or the

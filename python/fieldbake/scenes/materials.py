@@ -38,18 +38,18 @@ class Material:
         Sharpness of the highlight, the exponent of Blinn-Phong.
     alpha_mode : "opaque", "mask" or "blend", optional
         Use of opacity, for the camera and for shadows: ``"opaque"`` ignores it, ``"mask"`` cuts out the surface below
-        `alpha_cutoff`, ``"blend"`` transmits light. The default is that of the object, or ``"blend"`` if `color` is not
-        opaque.
+        `alpha_cutoff`, ``"blend"`` transmits light. The default comes from the object, or is ``"blend"`` if `color` is
+        not opaque.
     alpha_cutoff : float, optional
-        Limit of opacity for ``"mask"``, 0 to 1. The default is that of the object, or 0.5.
+        Limit of opacity for ``"mask"``, 0 to 1. The default comes from the object, or is 0.5.
     two_sided : bool, optional
-        Whether faces are visible from behind. The default is that of the object. Flat and masked meshes are then
+        Whether faces are visible from behind. The default comes from the object. Flat and masked meshes are then
         visible from both sides. An open mesh with two-sided faces is a sheet without an inside.
     emission : (3,), optional
         Linear RGB that the surface emits, added to the picture. It lights other surfaces in pictures with ``bounces``,
-        see :func:`render`. The default is that of the object if `color` and `texture` are not given either.
+        see :func:`render`. The default comes from the object if `color` and `texture` are not given either.
     unlit : bool, optional
-        Whether the colour is shown unchanged, without lighting. The default is that of the object.
+        Whether the colour is shown unchanged, without lighting. The default comes from the object.
     scattering : float or (3,), default 0
         Scattering length ``s``, world units, for each of RGB: the fraction ``exp(-l / s)`` of the light remains after a
         length ``l`` inside the object. 0: light does not enter.

@@ -1,4 +1,4 @@
-"""Detection of sheets: meshes whose soft shadows are those of their triangles instead of a distance field."""
+"""Detection of sheets: meshes whose soft shadows come from their triangles instead of a distance field."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Look(NamedTuple):
 
     @property
     def opacity(self) -> NDArray[np.float32]:
-        """Opacity of the texture times that of the colour, (h, w) from 0 to 1."""
+        """Opacity of the texture times the opacity of the colour, (h, w) from 0 to 1."""
         stored = np.full((1, 1), 255, dtype=np.uint8) if self.texture is None else self.texture[..., 3]
         opacity: NDArray[np.float32] = stored.astype(np.float32) / np.float32(255) * np.float32(self.color[3])
         return opacity

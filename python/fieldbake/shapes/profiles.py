@@ -60,7 +60,7 @@ class _Leaf:
         return shape if y == 0 else shape.translate((0.0, 0.0, y))
 
 
-#: Height of a subtracted profile over that of the extrusion, so that its end faces are far from the solid.
+#: Height of a subtracted profile over the height of the extrusion, so that its end faces are far from the solid.
 TALLER = 64.0
 
 

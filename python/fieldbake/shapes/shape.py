@@ -123,15 +123,15 @@ class Shape(Viewable, Sectioned):
         return combine("union", [self, *others], k=k, chamfer=chamfer)
 
     def intersection(self, *others: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
-        """Intersect the shapes; operands, joints and errors are those of :meth:`union`."""
+        """Intersect the shapes; operands, joints and errors are the same as in :meth:`union`."""
         return combine("intersection", [self, *others], k=k, chamfer=chamfer)
 
     def difference(self, *others: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
-        """Subtract the other shapes; operands, joints and errors are those of :meth:`union`."""
+        """Subtract the other shapes; operands, joints and errors are the same as in :meth:`union`."""
         return combine("difference", [self, *others], k=k, chamfer=chamfer)
 
     def xor(self, *others: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
-        """Take the symmetric difference from left to right; operands, joints and errors are those of :meth:`union`."""
+        """Take the symmetric difference from left to right; operands, joints and errors as in :meth:`union`."""
         return combine("xor", [self, *others], k=k, chamfer=chamfer)
 
     def smooth(self, k: float) -> Shape:
@@ -184,7 +184,7 @@ class Shape(Viewable, Sectioned):
     def align(self, anchor: ArrayLike) -> Shape:
         """Move the point `anchor` (3,) of the bounding box to the origin; -1 is the lower side, 1 the upper side.
 
-        The bounding box is that of the shape with sharp joints; fillets do not enlarge it.
+        The bounding box encloses the shape with sharp joints; fillets do not enlarge it.
         """
         x, y, z = arguments.numbers("anchor", anchor, 3)
         return Shape._wrap(self._core.aligned((x, y, z)))
@@ -202,7 +202,7 @@ class Shape(Viewable, Sectioned):
 
         The result is the union of all copies, which may overlap. More than 64 copies of one primitive that fits into
         its cell, a box with the sides `spacing`, are evaluated at the two nearest ones along each axis. Their cost does
-        not depend on their number. The field is that of the union if the primitive is exact, else a lower bound.
+        not depend on their number. The field is the field of the union if the primitive is exact, else a lower bound.
         Decomposition makes other repetitions cheap to draw.
         """
         return self._changed(
@@ -565,7 +565,7 @@ class Shape(Viewable, Sectioned):
             calls it for a buffer of positions; GLSL is version 4.30. Parameters are read from a buffer with the content
             of :meth:`shader_numbers`, so shapes of the same structure share one text and one pipeline.
             ``"function"`` has the functions that the shape needs, without buffers and without an entry point, as the
-            texts of other fields; GLSL is that of WebGL 2 (ES 3.00). Parameters are constants of the text.
+            texts of other fields; GLSL is written for WebGL 2 (ES 3.00). Parameters are constants of the text.
         name : str, optional
             Name of the function, only for ``form="function"``; the default is ``"distance_to_shape"``. Another name is
             also put before the names of all other definitions, so that the texts of several shapes fit into one shader.

@@ -28,8 +28,9 @@ def check_tolerance(value: float) -> float:
 def simplified(mesh: Mesh, tolerance: float) -> Mesh:
     """Collapse edges of a closed two-manifold while the surface moves by at most `tolerance`, world units.
 
-    The vertices of the result are a subset of those of the mesh. manifold3d moves a surface by up to about twice its
-    own tolerance. That tolerance is reduced until the measured distance, in both directions, is at most `tolerance`.
+    The vertices of the result are a subset of the vertices of the mesh. manifold3d moves a surface by up to about twice
+    its own tolerance. That tolerance is reduced until the measured distance, in both directions, is at most
+    `tolerance`.
     """
     body = mesh.to_manifold()
     # A tolerance beyond the size of the mesh removes every face.

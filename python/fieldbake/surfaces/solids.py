@@ -169,7 +169,7 @@ def offset(
     Parameters
     ----------
     mesh : Mesh or anything that `as_mesh` takes
-        The source. Its inside is that of :func:`fieldbake.signed_distance`.
+        The source. Its inside is the same as in :func:`fieldbake.signed_distance`.
     distance : float
         Distance of the new surface from the mesh, world units. A positive distance grows the solid and rounds its
         convex edges; a negative one shrinks it.
@@ -403,7 +403,7 @@ def _extracted(
     A warning names a wall thinner than a voxel, and faces that cross each other.
     """
     with part(0.6, 0.9):
-        # Without a source the planes would be those of the samples, which points and noise make uneven.
+        # Without a source the planes would come from the samples, which points and noise make uneven.
         made = extract(surface, level, source, sharp=source is not None, capped=True)
     if not len(made.faces):
         raise MeshError(nothing)

@@ -18,7 +18,7 @@ PAGE_PX = 512
 #: Largest number of pages with a picture.
 MOST_PAGES = 8
 
-#: Colours from the most negative distance over 0 to the most positive one, sRGB: those of a slice in the viewer.
+#: Colours from the most negative distance over 0 to the most positive one, sRGB, as in a slice in the viewer.
 COLORS = ((18, 72, 133), (168, 217, 235), (255, 255, 255), (245, 209, 143), (189, 74, 26))
 
 #: Shades of a picture. Few shades compress well.

@@ -25,8 +25,8 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
 def model_of(shape: Shape, names: Sequence[str]) -> tuple[Callable[..., Shape], dict[str, float]]:
     """A function of the named numbers of a shape that makes the shape again, and their present values.
 
-    A name is that of an argument, such as ``"radius"``, or has the name of the primitive or method before it, such as
-    ``"cylinder.radius"``. A name may belong to several arguments of equal value, which then change together.
+    A name is the name of an argument, such as ``"radius"``, or has the name of the primitive or method before it, such
+    as ``"cylinder.radius"``. A name may belong to several arguments of equal value, which then change together.
 
     Raises
     ------

@@ -39,7 +39,7 @@ def blocks_of_bricks(
     shape, width = np.array(field.shape), np.float32(band)
     counts = -(-shape // SIDE)
     inside_brick = index == EMPTY_INSIDE
-    # The sign of a block without samples is that of the brick with its first voxel.
+    # A block without samples has the sign of the brick with its first voxel.
     first = [
         np.minimum((np.arange(n) * SIDE + 1) // CELLS, along - 1) for n, along in zip(counts, index.shape, strict=True)
     ]

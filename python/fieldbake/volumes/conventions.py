@@ -1,6 +1,6 @@
 """Axes and units of other programs: their right, up and forward directions, and their scale of fields.
 
-fieldbake's space is right-handed with y upwards, as that of glTF. Each engine's convention is that of its own glTF or
+fieldbake's space is right-handed with y upwards, as in glTF. Each engine's convention follows its own glTF or
 model importer, so that a field lies where the imported mesh lies.
 
 =========  ============  ==  ===========================  ==============================================
@@ -52,7 +52,7 @@ class Convention:
 
     @property
     def is_identity(self) -> bool:
-        """Whether the convention is that of the field."""
+        """Whether the convention is the field's own."""
         return self.order == (0, 1, 2) and min(self.signs) > 0 and not self.normalize
 
     def array(self, samples: NDArray[Any]) -> NDArray[Any]:
@@ -108,7 +108,7 @@ class Convention:
         return matrix
 
     def facts(self, bounds: NDArray[np.float64]) -> dict[str, Any]:
-        """Metadata of a file about its space; empty if the space is that of the field."""
+        """Metadata of a file about its space; empty if the space is the field's own."""
         if self.is_identity:
             return {}
         told = {"engine": self.engine, "handedness": self.handedness, "up": self.up, "normalized": self.normalize}

@@ -52,7 +52,7 @@ class FieldCheck:
 
     @property
     def is_distance(self) -> bool:
-        """Whether the measurements are those of signed distances, negative inside."""
+        """Whether the measurements fit signed distances, negative inside."""
         # Samples are float32, and distances are rounded; a slope of 1 may come out a little steeper.
         return self.sign == "negative inside" and abs(self.gradient - 1) <= 0.05 and self.steepest <= 1.01
 

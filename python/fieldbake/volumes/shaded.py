@@ -19,16 +19,16 @@ class Shaded(ABC):
         Parameters
         ----------
         language : "wgsl", "glsl", "hlsl" or "msl", default "wgsl"
-            GLSL is that of WebGL 2 (ES 3.00). Newer versions accept it with another first line.
+            GLSL is written for WebGL 2 (ES 3.00). Newer versions accept it with another first line.
 
         Returns
         -------
         str
             The distance at a world position ``p`` is ``field_distance(p)`` for a `Volume`, ``sparse_distance(p)`` for a
             `SparseVolume` and ``nested_distance(p)`` for a `NestedField`; ``field_gradient(p)`` is the gradient of a
-            `Volume`. The distance is that of ``sample``, inside the box and outside, up to the rounding of float32. Box
-            and encoding are constants of the text; the textures are those of :meth:`shader_buffers`. Add an entry point
-            to complete the shader.
+            `Volume`. The distance equals the result of ``sample``, inside the box and outside, up to the rounding of
+            float32. Box and encoding are constants of the text; :meth:`shader_buffers` lists the textures. Add an entry
+            point to complete the shader.
 
         Raises
         ------

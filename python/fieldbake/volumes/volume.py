@@ -245,7 +245,7 @@ class Volume(StoredSamples, Loadable, Shaded):
         ----------
         tolerance : float or None, default 0.05
             Largest difference, in voxels, by which a coarser brick may differ from the samples that it replaces. None
-            never uses coarser bricks, so every stored sample equals that of the volume.
+            never uses coarser bricks, so every stored sample equals the sample of the volume.
         band : float, default 4
             Distance from the surface within which a sample makes its brick stored, voxels; at least 2.
         encoding : str, default "float32"
