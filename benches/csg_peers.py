@@ -3,9 +3,9 @@
     python benches/csg_peers.py [--size 512] [--grid 64]
 
 fidget (benches/fidget) draws depth and normals from +z, as many voxels deep as the picture is wide; we draw the same
-box from 1000 units away, with depth, normals and colour, no shadows. Its depth is that of a voxel, ours is a root:
+box from 1000 units away, with depth, normals and colour, no shadows. Its depth is the depth of a voxel, ours is a root:
 the pixels are compared that both hit. "first" is the time from the tree to the first picture: reading the text and
-compiling it, or splitting the shape; "next" that of one more picture. fogleman/sdf evaluates the model on a grid.
+compiling it, or splitting the shape; "next" the time of one more picture. fogleman/sdf evaluates the model on a grid.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ signal to the exception in Python code:
     python benches/interrupts.py thickness "bake sparse" --moments 12
 
 Delays grow when other programs use the processors. `--repeat` takes the least delay of several runs at each moment, so
-that a delay is that of the code. Calls that spend their time in manifold3d or trimesh are not listed here but in
+that a delay comes from the code. Calls that spend their time in manifold3d or trimesh are not listed here but in
 docs/limits.md.
 """
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-#: Folders with real models, in addition to those of Python packages.
+#: Folders with real models, in addition to the models of Python packages.
 FOLDERS = [Path(os.environ.get("FIELDBAKE_MESHES", "../shared/meshes"))]
 NAMES = ["stanford-bunny", "armadillo", "spot/spot", "dragon"]
 

@@ -5,7 +5,7 @@
 `sides`: the share of wrong sides and the error of distances for clean and damaged clouds; the truth is libigl's exact
 winding number of the mesh. `speed`: winding numbers beside `igl.fast_winding_number`, processor time of all threads.
 `orientation`: the share of flipped normals beside Open3D's spanning tree. `solids`: the distance of solids from the
-mesh beside Open3D's Poisson reconstruction. Meshes are those of ``FIELDBAKE_MESHES``.
+mesh beside Open3D's Poisson reconstruction. Meshes come from ``FIELDBAKE_MESHES``.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ def one_point(work: Callable[[], object], count: int = 300) -> float:
 
 
 def rays_of(mesh: fb.Mesh, kind: str, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Make coherent rays, those of a picture of the mesh, and random rays between points of its box."""
+    """Make coherent rays, as of a picture of the mesh, and random rays between points of its box."""
     lower, upper = mesh.bounds
     center, size = (lower + upper) / 2, float((upper - lower).max())
     if kind == "coherent":

@@ -2,11 +2,11 @@
 
     make bench-quick     or     python benches/quick.py [--record]
 
-Every figure is processor time divided by that of a reference: arithmetic on arrays that fit in the cache, or a copy and
-a gather where memory is the limit. Jobs and references run in turns, and the least times of both count, so a slower
-machine changes both. `--record` stores the ratios in `results/quick.json` by machine, and other runs
-compare themselves with them. A figure that is more than 15 % above its record is printed in red. The exit status is
-always 0, because timings of a shared machine are no test.
+Every figure is processor time divided by the time of a reference: arithmetic on arrays that fit in the cache, or a copy
+and a gather where memory is the limit. Jobs and references run in turns, and the least times of both count, so a slower
+machine changes both. `--record` stores the ratios in `results/quick.json` by machine, and other runs compare themselves
+with them. A figure that is more than 15 % above its record is printed in red. The exit status is always 0, because
+timings of a shared machine are no test.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
 
 The scenes are the forests of `scene.py` under soft shadow. The first frame includes the conversion and the bake of the
 objects and, on a device, the compilation of the kernels. Later frames have another camera each. A dimmed frame has the
-camera of the frame before, and a light of another intensity. Times are those of the processor, since the machine may be
+camera of the frame before, and a light of another intensity. Times are processor times, since the machine may be
 busy; a software adapter uses the processor too.
 """
 

@@ -2,7 +2,7 @@
 
 100 configurations of 11 bodies with 2,000 to 70,000 faces, and 10,000 points: one `Assembly.distance`, a loop of
 `fieldbake.query` over bodies and poses, and the same loop with Open3D's `RaycastingScene`. The jobs run in turns. The
-errors are those of float64 brute force at some of the points.
+errors are differences from float64 brute force at some of the points.
 """
 
 from __future__ import annotations

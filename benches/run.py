@@ -117,8 +117,9 @@ def summary(run_of: dict[str, Any]) -> str:
         f"# Summary, {run_of['date']}",
         "",
         f"{run_of['machine']}. `make bench` took {minutes:.0f} minutes. The load of the machine before each benchmark "
-        f"was {min(loads):.1f} to {max(loads):.1f}. A ratio is the time of the other tool divided by that of fieldbake "
-        "for the same work; above 1, fieldbake is faster. Times of distances, points and rays are those of one item.",
+        f"was {min(loads):.1f} to {max(loads):.1f}. A ratio is the time of the other tool divided by the time of "
+        "fieldbake for the same work; above 1, fieldbake is faster. Times of distances, points "
+        "and rays are times of one item.",
         "",
         "| work | fieldbake | best other tool | ratio | further tools |",
         "|---|---|---|---|---|",

@@ -5,9 +5,9 @@
 Steps count evaluations of fields, and tests of instances.
 
 Embree is Open3D's `test_occlusions` on the triangles of all instances as one soup, with rays from the same points. Its
-time is that of the rays alone; the time of fieldbake is that of the whole light pass, shading included. The cost of a
-field does not depend on the number of triangles, and a field also returns the clearance. The rays are therefore also
-traced through the same trees with each triangle divided into 64.
+time covers the rays alone; the time of fieldbake covers the whole light pass, shading included. The cost of a field
+does not depend on the number of triangles, and a field also returns the clearance. The rays are therefore also traced
+through the same trees with each triangle divided into 64.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ import numpy as np
 
 import fieldbake as fb
 
-#: libigl evaluates every this many slices of the grid; its time is that of these slices times this number.
+#: libigl evaluates every this many slices of the grid; its time is the time of these slices, times this number.
 EVERY_SLICE = 32
 
 #: Radius, voxels, of the ball around a corner or a point of an edge in which there may be no other sharp edge.

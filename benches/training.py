@@ -5,9 +5,9 @@
 The first table has 100 meshes: 65 closed ones, 25 open ones and 10 broken ones, made in code and from real models. The
 plain scripts follow the rules of the projects with trimesh, libigl, pysdf and fpsample in a few lines. DeepSDF's
 program needs a window, so its plain script takes libigl for the labels, and Dora's takes trimesh in place of Blender.
-Numbers are smaller than those of the projects, and equal on both sides. The second table has the full numbers of
+Numbers are smaller than the numbers of the projects, and equal on both sides. The second table has the full numbers of
 Hunyuan3D 2.1 on the same shells: libigl's calls of the project beside ours. Signs are compared with libigl's exact
-winding number, where that is farther than 0.05 from 1/2. Seconds are those of all processors.
+winding number, where that is farther than 0.05 from 1/2. Seconds are summed over all processors.
 """
 
 from __future__ import annotations

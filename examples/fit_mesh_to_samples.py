@@ -31,7 +31,7 @@ def starting_mesh() -> fb.Mesh:
 
 
 def fit(steps: int = 120, count: int = 3000, seed: int = 0) -> tuple[fb.Mesh, list[float]]:
-    """Move the vertices of a sphere until its distances are those of a rounded box; returns the mesh and the losses."""
+    """Move the vertices of a sphere until it has the distances of a rounded box; returns the mesh and the losses."""
     jax.config.update("jax_enable_x64", True)
     start = starting_mesh()
     faces = start.faces.astype(np.int64)

@@ -58,7 +58,7 @@ def texts(name: str) -> Iterator[tuple[int, str]]:
 
 
 def exists(path: str, where: str, files: list[str]) -> bool:
-    """Whether a path is that of a file or a folder, seen from the root or from a file."""
+    """Whether a path names a file or a folder, seen from the root or from a file."""
     path = path.rstrip("/")
     beside = (Path(where).parent / path).as_posix()
     wanted = "/" + path

@@ -137,7 +137,7 @@ def test_poses_of_mjcf_files_are_those_of_mujoco(tmp_path, random):
     assert np.abs(poses - simulated(model, positions, robot.body_names)).max() <= ROUNDING
     assert robot.limits[0] == pytest.approx((-np.pi / 2, np.pi / 2))
     assert np.isinf(robot.limits[1]).all()
-    # The pose of a root replaces that of the free joint.
+    # The pose of a root replaces the pose of the free joint.
     place = np.eye(4)
     place[:3, 3] = 7, 8, 9
     moved = robot.poses(np.zeros(5), roots={"free": place})

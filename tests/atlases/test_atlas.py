@@ -1,4 +1,4 @@
-"""The atlas: positions of texels, unpacked volumes, and samples that equal those of the volumes."""
+"""The atlas: positions of texels, unpacked volumes, and samples that equal the samples of the volumes."""
 
 import copy
 import pickle

@@ -230,7 +230,7 @@ def test_a_surface_that_is_open_without_a_boundary_says_where():
 
 
 def test_the_opening_of_a_cone_of_100_000_slivers_is_exact():
-    """The opening covers at most half of the sphere of directions, so the inside is that of the cone with its base."""
+    """The opening covers at most half of the sphere of directions, so the inside is the cone with its base."""
     angle = np.linspace(0, 2 * np.pi, 100_000, endpoint=False)
     ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     around = np.arange(len(ring))

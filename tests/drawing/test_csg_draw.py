@@ -95,7 +95,7 @@ def test_the_camera_may_be_anywhere(method, device):
 
     # In the solid.
     assert (depth((0, 0, 0), (0, 0, -1), 4) == 0).all()
-    # In the hollow that the sphere left, inside the boxes: the nearest wall is that of the small cube, at z = 1.5.
+    # In the hollow that the sphere left, inside the boxes: the nearest wall belongs to the small cube, at z = 1.5.
     assert depth((-1.2, -1.2, 1.9), (-1.2, -1.2, 0))[0, 0] == pytest.approx(0.4, abs=1e-5)
     # Along the faces of the boxes, and in the planes in which they meet.
     for eye in ((0.5, 0.5, 9), (-2, 0, 9), (0.5, 2, 9), (1.5, 1.5, 9)):

@@ -1,4 +1,4 @@
-"""Merging with a graphics device: the field is that of the CPU, bit for bit."""
+"""Merging with a graphics device: the field equals the field of the CPU, bit for bit."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def test_it_exceeds_the_distance_by_half_a_voxels_diagonal_at_most(scene, random
     points = [random.uniform(coarsest.bounds[0] - 1, coarsest.bounds[1] + 1, (20_000, 3))]
     bounds = [np.full(20_000, half_diagonals[-1])]
     for k, level in enumerate(field.levels[:-1]):
-        # Inside, up to the outermost cells: the level's own; in those, that of the level around.
+        # Inside, up to the outermost cells: the level's own; in those, the bound of the level around.
         inset = 1.5 * level.spacing
         points.append(random.uniform(level.bounds[0] + inset, level.bounds[1] - inset, (20_000, 3)))
         bounds.append(np.full(20_000, half_diagonals[k]))

@@ -6,7 +6,7 @@ import trimesh
 
 import fieldbake as fb
 
-#: An offset like that of a national grid in metres, and one where float32 has steps of a quarter of a unit.
+#: An offset as in a national grid in metres, and one where float32 has steps of a quarter of a unit.
 OFFSETS = [np.array([512345.678, 4187654.321, -30.0]), np.full(3, 4e6)]
 
 

@@ -16,7 +16,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 pytestmark = pytest.mark.slow
 
-#: Sizes of the pages, and those of the test.
+#: Sizes of the pages, and the sizes of the test.
 SMALL = {
     r"\b4096\b": "96, shard=32, chunk=16",
     r"1000:1256": "16:32",

@@ -1,4 +1,4 @@
-"""The licences and the SBOM in the wheel are those of the crates that it contains."""
+"""The licences and the SBOM in the wheel match the crates that it contains."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def test_winding_numbers_are_within_the_error_of_the_sum(name):
         found = fb.winding_number(cloud, points, error=error)
         assert np.abs(found - exact).max() <= error
     assert np.abs(fb.winding_number(cloud, points) - exact).max() <= 1e-3
-    # The side is that of the sum, without exception.
+    # The sum decides the side, without exception.
     turned = -1.0 if cloud.report.inside_out else 1.0
     decided = np.abs(turned * exact - 0.5) > 1e-6
     assert (fb.contains(cloud, points) == (turned * exact > 0.5))[decided].all()

@@ -123,7 +123,7 @@ def test_splats_of_a_sphere_make_its_ball(tmp_path):
     write_ply(tmp_path / "round.ply", columns)
     round_cloud = fb.load_points(tmp_path / "round.ply")
     assert round_cloud.report.round_splats == 3_600
-    # Their lines are those of the neighbours.
+    # Their lines come from the neighbours.
     assert np.einsum("ij,ij->i", round_cloud.oriented().normals, kept).min() > 0.9
 
 

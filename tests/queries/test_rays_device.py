@@ -13,7 +13,7 @@ PLACES = [(1, 0), (1, 1e4), (1e-3, 0), (1e3, 0)]
 
 
 def assert_same_bits(mesh, origins, directions, gpu, **limits):
-    """Compare the results of all functions on a device with those of the CPU; return the first hits."""
+    """Compare the results of all functions on a device with the results of the CPU; return the first hits."""
     mesh = mesh if isinstance(mesh, fb.Mesh) else fb.Mesh(*mesh)
     for function in FUNCTIONS:
         found = function(mesh, origins, directions, device=gpu, **limits)

@@ -131,7 +131,7 @@ def test_training_distances_belong_to_the_points_far_from_the_origin(dtype):
     # Rounding of a distance below 4 to the type, and of positions of 4e6 in float64.
     error = np.abs(np.abs(found.distances) - expected).max()
     assert error <= 4 * np.finfo(dtype).eps + 4e6 * 4 * np.finfo(np.float64).eps
-    # The points of float32 are those of float64, rounded; steps there are 0.03 along x and 0.25 along y.
+    # The points of float32 are the points of float64, rounded; steps there are 0.03 along x and 0.25 along y.
     assert np.array_equal(found.points, fb.sample_training(sphere, 2000, seed=2).points.astype(dtype))
 
 

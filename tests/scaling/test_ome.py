@@ -21,7 +21,7 @@ def test_ome_zarr_finds_the_distances_at_their_world_coordinates(tmp_path):
     assert any(isinstance(spec, Multiscales) for spec in node.specs)
     assert [axis["name"] for axis in node.metadata["axes"]] == ["z", "y", "x"]
     assert len(node.data) == len(volume.levels) >= 2
-    # Distances of the mesh differ from those of the sphere by the sagitta of its triangles.
+    # Distances of the mesh differ from the distances of the sphere by the sagitta of its triangles.
     chord = np.abs(np.linalg.norm(mesh.vertices[mesh.faces].mean(axis=1) - center, axis=1) - radius).max()
     for array, transforms, shape in zip(
         node.data, node.metadata["coordinateTransformations"], volume.levels, strict=True

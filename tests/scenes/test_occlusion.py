@@ -41,7 +41,7 @@ def test_occlusion_and_soft_shadows_take_few_steps(count: int, open_limit: float
         "open": {"shadows": "none", "ambient_occlusion": True},
     }.items():
         steps[name] = fb.render(scene, CAMERA, size=(120, 90), device="cpu", **options).steps.mean()
-    # The steps of the light pass alone: those of the first pass are subtracted.
+    # The steps of the light pass alone: the steps of the first pass are subtracted.
     assert steps["open"] - steps["none"] <= open_limit
     assert steps["soft"] - steps["none"] <= soft_limit
 
@@ -152,7 +152,7 @@ def test_interpolated_occlusion_is_that_of_a_finer_picture() -> None:
         share = frame.color[..., 0] / np.where(seen, plain.color[..., 0], 1)
         shares.append(share[same][seen[same]])
     error = np.abs(shares[0] - shares[1])
-    # One pixel of 64 is on the lattice. The other evaluated ones are those of contacts and edges.
+    # One pixel of 64 is on the lattice. The other evaluated pixels lie at contacts and edges.
     assert (frame.steps > plain.steps)[seen].mean() <= 0.15
     # Values two pixels apart that differ by up to 1/4 are averaged, which is off by at most half of it for values that
     # only rise or fall. Errors that are spread evenly up to 1/16, a change as a square, have the mean 1/32.

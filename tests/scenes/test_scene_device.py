@@ -1,4 +1,4 @@
-"""Scenes on a graphics device: the picture is that of the CPU."""
+"""Scenes on a graphics device: the picture agrees with the picture of the CPU."""
 
 from __future__ import annotations
 

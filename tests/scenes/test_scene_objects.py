@@ -54,7 +54,8 @@ def test_the_hard_shadow_of_a_ball_is_the_closed_form(kind: str) -> None:
     on_plane = frame.object_id == 1
     dark = miss_distance(p, CENTER, TO_LIGHT) < 1
     assert (frame.shadow[on_plane] == np.where(dark, 0, 1)[on_plane]).mean() > 0.995
-    # Depths are those of the sphere; fields of 64 voxels are off by their interpolation, some 1e-3 of the radius.
+    # Depths agree with the depths of the sphere; fields of 64 voxels are off by their interpolation, some 1e-3 of the
+    # radius.
     on_ball = frame.object_id == 0
     tolerance = 2e-5 if kind.startswith(("quadric", "shape")) else 5e-3
     assert np.abs(np.linalg.norm(p[on_ball] - CENTER, axis=1) - 1).max() < tolerance

@@ -66,7 +66,7 @@ def test_the_distance_is_the_smallest_one_over_the_instances(scene, random):
     assert np.abs(np.linalg.norm(found.gradients, axis=1) - 1).max() <= 1e-12
     away = found.points + found.distances[:, None] * found.gradients
     assert np.abs(away - points).max() <= 1e-9
-    # Rows of faces are those of the mesh of the instance, and -1 for exact shapes.
+    # Rows of faces belong to the mesh of the instance; they are -1 for exact shapes.
     assert ((found.faces < 0) == (found.instances >= 3)).all()
     torus = found.instances == 1
     corners = scene.instances[1].bounds is not None and fb.Mesh(*meshes.torus(segments=24, sides=12))

@@ -136,8 +136,8 @@ def test_shadows_end_at_the_surface_of_a_field_of_any_values(shadows: str) -> No
     assert (frames[1].shadow[umbra] == 0).all()
     if shadows == "hard":
         assert np.array_equal(frames[0].shadow, frames[1].shadow)
-    # The penumbra is that of the distances: the scene divides the samples by their largest slope, which rounding makes
-    # larger than 4.
+    # The penumbra follows from the distances: the scene divides the samples by their largest slope, which rounding
+    # makes larger than 4.
     assert np.abs(frames[0].shadow - frames[1].shadow).max() <= 0.02
 
 
@@ -157,7 +157,7 @@ def test_a_steep_field_casts_the_penumbra_of_its_distance() -> None:
 
 
 def test_hard_shadows_of_a_field_that_is_steep_along_diagonals() -> None:
-    # Neighbouring samples along the axes differ as those of a distance, but the slope across a face is sqrt(3).
+    # Neighbouring samples along the axes differ as in a distance field, but the slope across a face is sqrt(3).
     x, y, z = np.meshgrid(*[(np.arange(64) + 0.5) / 32 - 1] * 3, indexing="ij")
     steep = (np.abs(x) + np.abs(y) + np.abs(z) - 0.6).T.astype(np.float32)
     camera = fb.Camera((0.4, 5.0, 3.0), (0.4, -1.0, 0.0), fov_deg=40)

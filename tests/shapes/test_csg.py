@@ -285,7 +285,7 @@ def test_points_in_no_box_are_outside_or_wholly_inside(method):
     boxes = np.concatenate([part.boxes for part in fb.csg.decompose(shape, method=method)])
     in_box = ((points[:, None] >= boxes[:, 0]) & (points[:, None] < boxes[:, 1])).all(axis=-1).any(axis=1)
     distances = shape.distance(points)
-    # The boxes of "octree" leave out cells in which the field keeps its sign, those of "aabb" none inside.
+    # The boxes of "octree" leave out cells in which the field keeps its sign, the boxes of "aabb" none inside.
     inside = ~in_box & (distances < 0)
     assert inside.any() == (method == "octree")
     assert np.abs(distances[inside]).min(initial=1) > 0.01

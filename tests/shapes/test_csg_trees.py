@@ -1,4 +1,4 @@
-"""Random trees: the field is that of NumPy, parts cover the surface and equal the whole there, pictures are equal."""
+"""Random trees: NumPy has the same field, parts cover the surface and equal the whole there, pictures are equal."""
 
 import numpy as np
 import pytest
@@ -89,7 +89,7 @@ def test_parts_make_the_solid(tree, method):
 @given(tree=truth.trees)
 @settings(max_examples=20)
 def test_cells_cover_the_surface(tree):
-    """Roots along random lines lie in cells, and those of the part are those of the whole."""
+    """Roots along random lines lie in cells, and the roots of the part are the roots of the whole."""
     if not has_volume(tree.shape):
         return
     ends = sample_points(tree.shape.bounds, 400, seed=2).reshape(2, -1, 3)

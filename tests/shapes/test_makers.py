@@ -306,7 +306,8 @@ def test_times_changes_the_slope_alone():
         assert field.lipschitz == factor
         assert fb.csg.parse(field.to_sexpr()) == field
         for level in (0.1, -0.1):
-            # The level set of 5 d at 0.1 is that of d at 0.02. A dual mesh of 24 voxels bulges by 0.01 at most.
+            # The level set of 5 d at 0.1 is the level set of d at 0.02. A dual mesh of 24 voxels bulges by 0.01 at
+            # most.
             grown, radius = field.offset(level), 1 + level / factor
             assert (grown.bounds[1] >= radius - 1e-9).all()
             assert grown.to_mesh(24).bounds[1].max() == pytest.approx(radius, abs=0.02)

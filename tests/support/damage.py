@@ -33,7 +33,7 @@ def damage_store(folder, random):
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     metadata = [path for path in files if path.name == "zarr.json"]
     if random.integers(4):
-        # Half of the damage is that of the group, which has all numbers of the layout.
+        # Half of the damage is in the metadata of the group, which has all numbers of the layout.
         path = folder / "zarr.json" if random.integers(2) else metadata[random.integers(len(metadata))]
         content = path.read_bytes()
         tree = json.loads(content)

@@ -2,8 +2,8 @@
 
 Two kinds exist. :data:`SOLIDS` describes each primitive by inequalities and by points on its surface, with no distance
 formula at all.
-:class:`Tree` builds a shape and a NumPy function side by side; the functions are those of the definitions (the
-distance to a profile turned or drawn out, the minimum, the fillet), not those of the core.
+:class:`Tree` builds a shape and a NumPy function side by side; the functions follow the definitions (the
+distance to a profile turned or drawn out, the minimum, the fillet), not the core.
 """
 
 from __future__ import annotations

@@ -324,7 +324,7 @@ def test_simplified_solids_stay_closed_and_near(tolerance):
         moved = made.report.distance_to_source
         # A reported distance is at most 0.1 % below the true one.
         assert moved <= full.report.distance_to_source / 0.999 + tolerance, name
-        # The deviation is that of the simplified mesh: its own samples are nowhere farther from the source.
+        # The deviation belongs to the simplified mesh: its own samples are nowhere farther from the source.
         samples = surface_samples(made, 20_000)
         if name == "offset":
             assert np.abs(box_distance(samples, 1) - 0.3).max() <= moved + 1e-6

@@ -203,7 +203,7 @@ def test_triangles_are_whole_near_the_eye_within_their_box_and_on_both_sides(tmp
     assert (x1, y0, y1, z0) == (71.5, -0.5, 71.5, -0.5)
     assert x0 == pytest.approx((1 + 0.6 - 1.05) * 36 - 0.5, abs=0.5)
     assert z1 == pytest.approx((1 - 0.6 + 1.05) * 36 - 0.5, abs=0.5)
-    # The lighting of a mesh that is wound inside out is that of the same mesh the right way round. fb.render smooths
+    # A mesh that is wound inside out has the lighting of the same mesh the right way round. fb.render smooths
     # normals, so that 1 % of the pixels differ by more than 16 steps; the knot covers 10 %.
     right = fb.render(fb.Scene([fb.Instance(knot, resolution=32)]), camera(), **{**options, "shadows": "hard"})
     difference = np.abs(decoded(back.value["rest"]).astype(int) - right.image).max(axis=-1)

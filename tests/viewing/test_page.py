@@ -70,7 +70,7 @@ def differences(
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """For each case: the differences of the page's colours, 8 bits, and of its depths, world units, from raymarch.
 
-    The depths are those of the pixels that both hit. The silhouettes differ in at most 0.5 % of the pixels.
+    The depths are compared at the pixels that both hit. The silhouettes differ in at most 0.5 % of the pixels.
     """
     camera = fb.Camera((3.5, 3.0, 7.5), (0.4, 0, 0), fov_deg=40)
     expected, jobs = [], []

@@ -79,7 +79,8 @@ window.run = async (contents, cameras, [x, y]) => {
   await settled();
   const after = [shown(first), shown(second)];
 
-  // New levels have the triangles of the coarse grid, and the level at which the slider rests those of the fine one.
+  // New levels have the triangles of the coarse grid. The level at which the slider rests has the triangles of the
+  // fine one.
   const sizes = [];
   const shape = engine.shape.bind(engine);
   engine.shape = (triangles) => {

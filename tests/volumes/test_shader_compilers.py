@@ -61,7 +61,8 @@ def test_naga_compiles_the_wgsl(functions, name):
         assert "fn intersect_quadric" in text
         return
     caller = f"\nfn caller(p: vec3f) -> f32 {{ return {sum_of(name)}; }}\n"
-    # The bindings of the text and those of the functions that come with the call of naga are of different groups.
+    # The bindings of the text and the bindings of the functions that come with the call of naga are of different
+    # groups.
     text = text.replace("@group(0)", "@group(1)") + caller
     assert wgsl_errors(text) == ""
     assert wgsl_errors(text.replace("-> f32", "-> vec2f", 1)) != ""

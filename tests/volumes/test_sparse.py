@@ -1,4 +1,4 @@
-"""Sparse volumes: samples of bricks equal those of the dense field, and bounds never exceed the distance."""
+"""Sparse volumes: samples of bricks equal the samples of the dense field, and bounds never exceed the distance."""
 
 from __future__ import annotations
 

@@ -207,7 +207,7 @@ def test_another_field_or_mesh_can_be_the_source():
 
 def test_edges_that_the_source_does_not_cross_keep_the_planes_of_the_samples():
     volume = fb.bake(fb.sphere(1), 32)
-    # Half of the radius, seven voxels, lies between the surface of the samples and that of the source.
+    # Half of the radius, seven voxels, lies between the surface of the samples and the surface of the source.
     mesh = volume.to_mesh(source=fb.sphere(0.5))
     assert_solid(mesh, volume.bounds)
     blunt = fb.Volume(volume.distances, volume.bounds).to_mesh()
@@ -242,7 +242,7 @@ def test_a_surface_that_leaves_the_box_is_capped_there_or_left_open():
     mesh = half.to_mesh()
     assert_solid(mesh, half.bounds)
     assert mesh.bounds[0][0] == 0
-    # Half of an icosphere, whose volume is 1.7 % below that of the ball.
+    # Half of an icosphere, whose volume is 1.7 % below the volume of the ball.
     ball = truth.volume(*meshes.icosphere(3))
     assert truth.volume(mesh.vertices, mesh.faces) == pytest.approx(ball / 2, rel=0.01)
     opened = half.to_mesh(capped=False)

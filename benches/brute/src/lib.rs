@@ -56,7 +56,7 @@ impl Triangle {
         Self { corners, center, radius }
     }
 
-    /// The least of the three edges' distances, and that of the plane where the foot lies inside.
+    /// The least of the three edges' distances, and the distance of the plane where the foot lies inside.
     fn distance(&self, p: Point) -> f64 {
         let [a, b, c] = self.corners;
         let edges = [(a, b), (b, c), (c, a)];
