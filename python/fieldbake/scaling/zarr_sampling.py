@@ -21,7 +21,7 @@ class Sampler:
     Parameters
     ----------
     layout, reader
-        Those of the store.
+        The layout and the reader of the store.
     """
 
     def __init__(self, layout: Layout, reader: Reader) -> None:
