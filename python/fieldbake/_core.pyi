@@ -172,7 +172,7 @@ class Bodies:
     ]:
         """Distances (n,), errors (n,), points of both bodies (n, 3) and normals (n, 3) of pairs of bodies.
 
-        n is the number of configurations times that of pairs.
+        n is the product of the numbers of configurations and pairs.
         """
     def query(
         self,

@@ -48,7 +48,7 @@ pub struct Options {
 }
 
 /// The clearance of all pairs in all configurations: pairs first, configuration by configuration. `poses` are
-/// world-from-body, those of all bodies configuration by configuration.
+/// world-from-body, for all bodies of the first configuration, then of the next one.
 pub fn clearances(
     bodies: &Bodies,
     poses: &[[[f64; 4]; 4]],
@@ -288,7 +288,7 @@ fn of_elements(
     done(2.0 * found.upper, 2.0 * (found.upper - found.lower), [p, q], normal)
 }
 
-/// Whether a component of a set begins inside a solid. `place` is that of the set, `other` that of the solid.
+/// Whether a component of a set begins inside a solid. `place` belongs to the set, `other` to the solid.
 fn contains_start(
     solid: &mut Solid<'_>,
     set: &TriangleSet,

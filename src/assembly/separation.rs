@@ -94,7 +94,7 @@ impl PartialEq for Pair {
 impl Eq for Pair {}
 
 /// The smallest distance of two sets, with the closest points in the frame of the first; none if it is at least
-/// `limit`. `place` is that of the second set in the frame of the first.
+/// `limit`. `place` is the pose of the second set in the frame of the first.
 pub(super) fn distance(sets: [&TriangleSet; 2], place: &Similarity, limit: f64) -> Option<(f64, DVec3, DVec3)> {
     let [a, b] = sets;
     let spread =

@@ -5,7 +5,7 @@ use glam::DVec3;
 
 /// The closest points of two triangles, one on each, and their distance. Triangles may be segments or points.
 ///
-/// The distance is that of a vertex and the other triangle, or of two edges, unless an edge passes through the other
+/// The distance lies between a vertex and the other triangle, or of two edges, unless an edge passes through the other
 /// triangle (C. Ericson, "Real-Time Collision Detection", 2005, section 5.1).
 pub fn closest_points_of_triangles(a: [DVec3; 3], b: [DVec3; 3]) -> (f64, DVec3, DVec3) {
     let mut best = (f64::INFINITY, a[0], b[0]);
