@@ -14,9 +14,9 @@
 //!   no other bound ends the search there. Both may belong to one solid: in a wall that the other solid contains, they
 //!   are the distances from both sides of the wall.
 //!
-//! The minorant of a convex solid is its tangent a(c) + g . (x - c). The minorant of a mesh is the negative distance from the
-//! face nearest to c: inside, the depth is at most the distance from any part of the surface, and distances from convex
-//! sets are convex. Any other has a(c) - |x - c|.
+//! The minorant of a convex solid is its tangent a(c) + g . (x - c). The minorant of a mesh is the negative distance
+//! from the face nearest to c: inside, the depth is at most the distance from any part of the surface, and distances
+//! from convex sets are convex. Any other has a(c) - |x - c|.
 
 use super::{Element, Geometry, Similarity};
 use crate::csg::model::token::Token;
