@@ -26,6 +26,7 @@ __all__ = [
     "SparseField",
     "Surface",
     "SurfaceBlocks",
+    "Sweep",
     "Texture",
     "__version__",
     "all_intersections",
@@ -768,6 +769,7 @@ def bake_sparse(
 ) -> tuple[SparseField, dict[str, Any]]:
     """Bricks and the report, as for :func:`bake`. ``band`` and ``tolerance`` are in voxels."""
 
+@final
 class Sweep:
     """Bodies and their motion."""
 
