@@ -4,14 +4,14 @@
 //! The distance from a body is the smallest one over its geometries, so the clearance of two bodies is the smallest one
 //! over pairs of geometries. A pair of meshes, boxes, balls or capsules is compared by triangles ([`separation`]): a
 //! ball is a point with a radius, a capsule a segment with a radius. Other pairs begin with alternating projections,
-//! whose result is exact between convex solids. Overlaps, and pairs without a proof by planes of support, are searched
-//! by branch and bound ([`overlap`]).
+//! whose result planes of support prove between convex solids; a mesh and a convex shape are compared by tangents.
+//! Overlaps, and pairs without a proof, are searched by branch and bound ([`overlap`]).
 //!
 //! [`separation`]: super::separation
 //! [`overlap`]: super::overlap
 
 use super::overlap::{Solid, minimum, project};
-use super::separation::{TriangleSet, distance};
+use super::separation::{TriangleSet, distance, distance_from_convex};
 use super::{Bodies, Element, Geometry, Similarity};
 use crate::csg::model::token::Token;
 use crate::csg::tree::primitive::Primitive;
@@ -257,6 +257,20 @@ fn of_elements(
     {
         return if lower >= limit { None } else { done(apart, apart - lower, [p, q], (p - q) / apart) };
     }
+    // A mesh and a convex shape.
+    for (mesh, of, other) in [(first, 0, 1), (second, 1, 0)] {
+        let own = [here, place][of];
+        if let (Some((Triangles::Mesh(set), _)), Some((p, q, ..)), true) =
+            (&mesh.triangles, projected, solids[other].is_convex())
+            && solids[of].distance([p, q][other]) > 0.0
+            && let Some((apart, points, lower)) = distance_from_convex(set, &own, &mut solids[other], floor)
+            && apart - lower <= 2.0 * floor
+        {
+            let [p, q] = if of == 0 { points } else { [points[1], points[0]] };
+            return if lower >= limit { None } else { done(apart, apart - lower, [p, q], (p - q) / apart) };
+        }
+    }
+    let [a, b] = &mut solids;
     // The minimum lies within its value of both boxes.
     let reach = match projected {
         Some((_, _, apart, _)) => 0.5 * apart,

@@ -47,9 +47,9 @@ pub(super) struct Solid<'a> {
 
 /// The signed distance of a point, its unit gradient, and the nearest point.
 #[derive(Debug, Clone, Copy)]
-struct Value {
-    distance: f64,
-    gradient: DVec3,
+pub(super) struct Value {
+    pub(super) distance: f64,
+    pub(super) gradient: DVec3,
     /// The nearest face, world positions.
     face: Option<[DVec3; 3]>,
 }
@@ -75,7 +75,13 @@ impl<'a> Solid<'a> {
         }
     }
 
-    fn value(&mut self, p: DVec3) -> Value {
+    /// Whether the solid is a convex closed form.
+    pub(super) fn is_convex(&self) -> bool {
+        self.leaf.is_some()
+    }
+
+    /// The signed distance, its gradient and the nearest face.
+    pub(super) fn value(&mut self, p: DVec3) -> Value {
         let local = self.place.inverse_point(p);
         match (&self.element.geometry, &mut self.search) {
             (Geometry::Shape(shape), _) => {

@@ -6,13 +6,19 @@
 //! frame of the first one. Pairs of triangles are compared in float64.
 
 use super::Similarity;
+use super::overlap::Solid;
 use crate::bvh::boxes::{BoxNode, BoxTree};
-use crate::geometry::closest_points_of_triangles;
+use crate::geometry::{closest_point_on_triangle, closest_points_of_triangles};
 use crate::mesh::Mesh;
 use crate::mesh::derived::Derived;
 use glam::{DMat3, DVec3};
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
+
+/// Largest number of projections onto one triangle.
+const MAX_PROJECTIONS: usize = 200;
+/// Share of the accepted gap that covers the rounding of tangents.
+const ROUNDING: f64 = 1e-3;
 
 /// Triangles with a tree, in coordinates of their geometry.
 #[derive(Debug)]
@@ -141,6 +147,70 @@ pub(super) fn distance(sets: [&TriangleSet; 2], place: &Similarity, limit: f64) 
         }
     }
     (best.0 < limit).then_some(best)
+}
+
+/// The distance of a set from a convex closed form, with the closest points of the set and of the form, and a proven
+/// lower bound; none if they have a common point. `place` is that of the set in the frame of the form.
+///
+/// The distance from a convex solid is a convex function, so its tangents bound it from below: on the box of a node,
+/// and on a triangle, whose nearest point alternating projections find.
+pub(super) fn distance_from_convex(
+    set: &TriangleSet,
+    place: &Similarity,
+    solid: &mut Solid<'_>,
+    gap: f64,
+) -> Option<(f64, [DVec3; 2], f64)> {
+    let bound = |node: &BoxNode, solid: &mut Solid<'_>| {
+        let (center, half) = middle(node, set.tree.center);
+        let value = solid.value(place.point(center));
+        value.distance - (place.rotation.transpose() * value.gradient).abs().dot(half) - gap * ROUNDING
+    };
+    let (mut best, mut lower) = ((f64::INFINITY, [DVec3::NAN; 2]), f64::INFINITY);
+    let mut heap = BinaryHeap::new();
+    if let Some(root) = set.tree.nodes.first() {
+        heap.push(Pair { bound: bound(root, solid), nodes: [0, 0] });
+    }
+    while let Some(pair) = heap.pop() {
+        if pair.bound >= best.0 - gap {
+            lower = lower.min(pair.bound);
+            break;
+        }
+        let node = &set.tree.nodes[pair.nodes[0] as usize];
+        for i in node.first..node.first + node.count {
+            let corners = set.triangles[i as usize].map(|corner| place.point(corner));
+            let mut point = (corners[0] + corners[1] + corners[2]) / 3.0;
+            let mut value = solid.value(point);
+            for _ in 0..MAX_PROJECTIONS {
+                if value.distance <= 0.0 {
+                    return None;
+                }
+                let next = closest_point_on_triangle(point - value.distance * value.gradient, corners).point;
+                let found = solid.value(next);
+                let is_nearer = found.distance < value.distance;
+                if is_nearer {
+                    (point, value) = (next, found);
+                }
+                // The tangent at the nearest point is smallest there.
+                let tangent = |x: &DVec3| value.distance + value.gradient.dot(*x - point);
+                let least = corners.iter().map(tangent).fold(f64::INFINITY, f64::min);
+                if !is_nearer || least >= value.distance - 0.5 * gap || least >= best.0 {
+                    break;
+                }
+            }
+            let tangent = |x: &DVec3| value.distance + value.gradient.dot(*x - point);
+            lower = lower.min(corners.iter().map(tangent).fold(f64::INFINITY, f64::min).max(pair.bound));
+            if value.distance < best.0 {
+                best = (value.distance, [point, point - value.distance * value.gradient]);
+            }
+        }
+        if node.count == 0 {
+            for child in [node.first, node.first + 1] {
+                let bound = bound(&set.tree.nodes[child as usize], solid).max(pair.bound);
+                heap.push(Pair { bound, nodes: [child, 0] });
+            }
+        }
+    }
+    Some((best.0, best.1, lower.min(best.0)))
 }
 
 /// Centre and half sides of the box of a node.

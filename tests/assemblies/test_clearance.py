@@ -131,6 +131,44 @@ def test_separate_meshes_have_the_distance_of_coal(random):
     assert apart > 60
 
 
+@pytest.mark.parametrize("shape", [fb.cylinder(0.4, 1), fb.cone(0.5, 1), fb.ellipsoid((0.9, 0.4, 0.6))], ids=repr)
+@pytest.mark.parametrize("mesh_first", [True, False])
+def test_a_mesh_and_a_convex_shape_have_the_distance_of_an_optimiser(shape, mesh_first, random):
+    mesh = fb.models.gear(teeth=9)
+    corners = mesh.vertices[mesh.faces]
+    for seed in range(4):
+        place = pose(random.uniform(1.2, 2, 3) * random.choice([-1, 1], 3), meshes.rotation(seed))
+        if mesh_first:
+            distance, error, p, q, _ = one(mesh, shape, pose_b=place)
+        else:
+            distance, error, q, p, _ = one(shape, mesh, pose_a=place)
+
+        local = (corners - place[:3, 3]) @ place[:3, :3]
+        center, radius = (
+            local.mean(axis=1),
+            np.linalg.norm(local - local.mean(axis=1, keepdims=True), axis=2).max(axis=1),
+        )
+        from_center = shape.distance(center)
+        near = np.flatnonzero(from_center - radius < (from_center + radius).min())
+
+        def least(triangle):
+            def place_of(x):
+                return triangle[0] + x[0] * (triangle[1] - triangle[0]) + x[1] * (triangle[2] - triangle[0])
+
+            found = minimize(lambda x: shape.distance(place_of(x), dtype="float64"), (0.3, 0.3), method="SLSQP",
+                             bounds=[(0, 1)] * 2, constraints={"type": "ineq", "fun": lambda x: 1 - x[0] - x[1]},
+                             options={"ftol": 1e-15, "maxiter": 300})  # fmt: skip
+            return found.fun
+
+        truth = min(least(triangle) for triangle in local[near])
+        assert distance == pytest.approx(truth, abs=1e-8)
+        assert distance <= truth + 1e-12
+        assert error <= 1e-8
+        assert np.linalg.norm(p - q) == pytest.approx(distance, abs=1e-12)
+        assert fb.closest_point(mesh, p).distances == pytest.approx(0, abs=1e-12)
+        assert shape.distance(place[:3, :3].T @ (q - place[:3, 3]), dtype="float64") == pytest.approx(0, abs=1e-12)
+
+
 def brute_force(a, b, place, count=60):
     """The smallest larger distance on a grid, and the distance between its points."""
     lower, upper = np.min([a.bounds[0], [-3, -3, -3]], axis=0), np.max([a.bounds[1], [3, 3, 3]], axis=0)
