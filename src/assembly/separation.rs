@@ -150,7 +150,7 @@ pub(super) fn distance(sets: [&TriangleSet; 2], place: &Similarity, limit: f64) 
 }
 
 /// The distance of a set from a convex closed form, with the closest points of the set and of the form, and a proven
-/// lower bound; none if they have a common point. `place` is that of the set in the frame of the form.
+/// lower bound; none if they have a common point. `place` is the pose of the set in the frame of the form.
 ///
 /// The distance from a convex solid is a convex function, so its tangents bound it from below: on the box of a node,
 /// and on a triangle, whose nearest point alternating projections find.
