@@ -15,7 +15,7 @@ use super::separation::{TriangleSet, distance, distance_from_convex};
 use super::{Bodies, Element, Geometry, Similarity};
 use crate::csg::model::token::Token;
 use crate::csg::tree::primitive::Primitive;
-use crate::error::Error;
+use crate::error::{ArgumentError, Error};
 use crate::memory::zeroed_rows;
 use crate::progress::Progress;
 use bytemuck::Zeroable;
@@ -30,7 +30,7 @@ const FLOOR: f64 = 1e-9;
 pub struct Clearance {
     /// Negative where the bodies overlap; a lower bound beyond the cutoff.
     pub distance: f64,
-    /// The true value is at least the distance minus this; infinite beyond the cutoff.
+    /// The true value is at least the distance minus this; infinite without a proof.
     pub error: f64,
     /// The nearest surface points of both bodies, world positions; NaN beyond the cutoff.
     pub points: [[f64; 3]; 2],
@@ -60,11 +60,16 @@ pub fn clearances(
     let total = configurations * pairs.len();
     progress.set_total(total as u64);
     let sets: Vec<Prepared<'_>> = bodies.elements.par_iter().map(Prepared::new).collect();
+    let is_unbounded = |body: usize| sets.iter().any(|set| set.element.body == body && set.bounds.is_none());
+    if let Some([a, b]) = pairs.iter().find(|pair| pair.iter().all(|&body| is_unbounded(body))) {
+        let problem = format!("the bodies {a} and {b} are both unbounded, so they have no clearance");
+        return Err(ArgumentError::new("pairs", problem).into());
+    }
     let mut results: Vec<Clearance> = zeroed_rows("results", total)?;
     results.par_iter_mut().enumerate().try_for_each(|(row, out)| {
         let (configuration, [a, b]) = (row / pairs.len(), pairs[row % pairs.len()]);
         let pose = |body: usize| Similarity::from_rows(&poses[configuration * bodies.count + body], 1.0);
-        *out = of_bodies(&sets, [a, b], [pose(a), pose(b)], options);
+        *out = of_bodies(&sets, [a, b], [pose(a), pose(b)], options, progress);
         progress.advance(1)
     })?;
     Ok(results)
@@ -155,7 +160,13 @@ fn triangles_of(solid: &crate::csg::parts::solid::Solid) -> Option<(TriangleSet,
 }
 
 /// The clearance of two posed bodies.
-fn of_bodies(sets: &[Prepared<'_>], [a, b]: [usize; 2], poses: [Similarity; 2], options: &Options) -> Clearance {
+fn of_bodies(
+    sets: &[Prepared<'_>],
+    [a, b]: [usize; 2],
+    poses: [Similarity; 2],
+    options: &Options,
+    progress: &Progress,
+) -> Clearance {
     let of = |body: usize| sets.iter().filter(move |set| set.element.body == body);
     let mut waiting: Vec<(f64, &Prepared<'_>, &Prepared<'_>)> = Vec::new();
     for first in of(a) {
@@ -184,7 +195,7 @@ fn of_bodies(sets: &[Prepared<'_>], [a, b]: [usize; 2], poses: [Similarity; 2], 
             continue;
         }
         let places = [poses[0].after(&first.element.place), poses[1].after(&second.element.place)];
-        let found = of_elements(first, second, places, limit, options.relative_tolerance);
+        let found = of_elements(first, second, places, limit, options.relative_tolerance, progress);
         match found {
             Some(found) => {
                 least = least.min(found.distance - found.error);
@@ -210,6 +221,7 @@ fn of_elements(
     places: [Similarity; 2],
     limit: f64,
     relative_tolerance: f64,
+    progress: &Progress,
 ) -> Option<Clearance> {
     // All is computed in the frame of the first geometry.
     let back = places[0].rotation.transpose();
@@ -283,7 +295,13 @@ fn of_elements(
         [None, None] => [start - size, start + size],
     };
     let start = projected.map_or_else(|| start.max(region[0]).min(region[1]), |(p, q, _, _)| 0.5 * (p + q));
-    let found = minimum(a, b, region, start, relative_tolerance, 0.5 * floor);
+    // The signed distance of an open mesh jumps across its opening, where no bound holds.
+    let is_closed = |of: &Prepared<'_>| match &of.element.geometry {
+        Geometry::Mesh(mesh) => mesh.topology().closed,
+        Geometry::Shape(_) => true,
+    };
+    let unproven = if is_closed(first) && is_closed(second) { 0.0 } else { f64::INFINITY };
+    let found = minimum(a, b, region, start, relative_tolerance, 0.5 * floor, progress);
     let lower = 2.0 * found.lower;
     if lower >= limit && lower > 0.0 {
         return None;
@@ -295,11 +313,16 @@ fn of_elements(
             (p, q, p.distance(q), lower)
         });
         let apart = apart.min(2.0 * found.upper);
-        return done(apart, (apart - lower.max(own)).max(0.0), [p, q], (p - q).try_normalize().unwrap_or(DVec3::X));
+        return done(
+            apart,
+            (apart - lower.max(own)).max(unproven),
+            [p, q],
+            (p - q).try_normalize().unwrap_or(DVec3::X),
+        );
     }
     let ((gradient_a, p), (gradient_b, q)) = (a.gradient_and_point(found.at), b.gradient_and_point(found.at));
     let normal = (gradient_b - gradient_a).try_normalize().unwrap_or(gradient_b);
-    done(2.0 * found.upper, 2.0 * (found.upper - found.lower), [p, q], normal)
+    done(2.0 * found.upper, (2.0 * (found.upper - found.lower)).max(unproven), [p, q], normal)
 }
 
 /// Whether a component of a set begins inside a solid. `place` belongs to the set, `other` to the solid.

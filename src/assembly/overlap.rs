@@ -23,6 +23,7 @@ use crate::csg::model::token::Token;
 use crate::csg::parts::closed_form::Scratch;
 use crate::csg::tree::primitive::Primitive;
 use crate::geometry::closest_point_on_triangle;
+use crate::progress::Progress;
 use crate::query::Search;
 use glam::DVec3;
 use std::cmp::Ordering;
@@ -254,6 +255,7 @@ pub(super) fn minimum(
     start: DVec3,
     relative: f64,
     floor: f64,
+    progress: &Progress,
 ) -> Minimum {
     let at_start = a.distance(start).max(b.distance(start));
     let mut found = Minimum { upper: at_start, lower: f64::INFINITY, at: start };
@@ -290,7 +292,7 @@ pub(super) fn minimum(
         }
         let enough = found.upper - (relative * found.upper.abs()).max(floor);
         let Some(cell) = heap.pop() else { break };
-        if cell.bound >= enough || cells >= MAX_CELLS {
+        if cell.bound >= enough || cells >= MAX_CELLS || progress.check().is_err() {
             found.lower = cell.bound;
             break;
         }

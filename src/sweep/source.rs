@@ -77,6 +77,7 @@ impl Sweep {
             encoding: T::ENCODING,
             scale,
             cost: &cost,
+            progress,
         };
         for layer in 0..builder.regions()[2] {
             builder.add_layer(&source, layer, progress)?;
@@ -166,6 +167,7 @@ struct Source<'a> {
     encoding: Encoding,
     scale: f32,
     cost: &'a SharedCost,
+    progress: &'a Progress,
 }
 
 struct Worker<'a> {
@@ -225,6 +227,9 @@ impl<'a> SampleSource for Source<'a> {
         if self.farthest_corner(brick, -1.0) >= far {
             return Some(Side::Inside);
         }
+        if self.progress.check().is_err() {
+            return Some(Side::Outside);
+        }
         let searcher = &mut worker.counted.searcher;
         let whole = searcher.whole(center);
         let (found, intervals) = searcher.narrow(center, radius, &whole, 0.0, &self.goal(radius));
@@ -252,7 +257,8 @@ impl<'a> SampleSource for Source<'a> {
                 low: [0, 1, 2].map(|axis| if part >> axis & 1 == 0 { of.low[axis] } else { half[axis] }),
                 high: [0, 1, 2].map(|axis| if part >> axis & 1 == 0 { half[axis] } else { of.high[axis] }),
             };
-            if of.len() == 0 {
+            // The caller drops the field of a cancelled job.
+            if of.len() == 0 || self.progress.check().is_err() {
                 continue;
             }
             let (center, own_radius) = self.ball(&of);

@@ -325,8 +325,14 @@ def test_mistakes_name_the_argument():
             call()
     with pytest.raises(fb.MeshError):
         fb.clearance((np.zeros((3, 3)), [[0, 1, 2]]), BALL)
+    with pytest.raises(fb.ArgumentError, match="pairs: the bodies 0 and 1 are both unbounded"):
+        fb.clearance(fb.plane((0, 0, 1)), fb.slab(1))
+    # There is no proof for the overlap of an open mesh.
     with pytest.warns(fb.SurfaceWarning, match="open"):
-        fb.clearance(fb.Mesh(*meshes.open_box()), BALL)
+        overlap = fb.clearance(fb.Mesh(*meshes.open_box()), BALL)
+    assert overlap.distances[0] < 0
+    assert overlap.errors[0] == np.inf
+    assert fb.clearance(fb.Mesh(*meshes.open_box()), BALL, pose_b=pose((3, 0, 0))).errors[0] == 0
     # Bodies without geometry are infinitely far.
     far = robot.clearance(pairs=[("a", "c")])
     assert far.distances.tolist() == [np.inf]

@@ -67,7 +67,8 @@ class Clearance(NamedTuple):
     #: Unit vectors from the second body to the first, (..., 3) float64: a motion v_a, v_b of the nearest points changes
     #: the distance by ``normals . (v_a - v_b)``. NaN beyond the cutoff.
     normals: NDArray[np.float64]
-    #: The true value lies between ``distances - errors`` and ``distances``. Infinite beyond the cutoff.
+    #: The true value lies between ``distances - errors`` and ``distances``. Infinite beyond the cutoff, and for
+    #: overlaps of open meshes, whose signed distance jumps across the opening.
     errors: NDArray[np.float64]
     #: Rows of the pairs in `Assembly.body_names`, (k, 2) int64; -1 for the environment.
     pairs: NDArray[np.int64]
