@@ -301,6 +301,7 @@ struct PictureOptions {
     bounces: u32,
     bounce_samples: u32,
     samples: u32,
+    denoise: bool,
     light_scale: u32,
     exposure: f32,
     area_samples: u32,
@@ -338,6 +339,7 @@ impl PictureOptions {
             exposure: self.exposure,
             samples: self.samples,
             light_scale: self.light_scale,
+            denoise: self.denoise,
         })
     }
 }

@@ -235,6 +235,7 @@ fn draw(
             buffer: &buffer,
             lights: &lights,
             bounces: None,
+            own_paths: false,
             options,
             device: light_device,
             counters: &counters,

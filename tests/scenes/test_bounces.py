@@ -145,12 +145,19 @@ def test_emissive_surfaces_light_a_floor_by_their_form_factor(name):
     assert np.abs(relative).mean() <= 0.04 * share(x).mean()
 
 
-def lit_floor(lamp, paths):
+def distance_from_axis(pixels):
+    """Distance of the points of a floor below `ABOVE` from its axis, world units, (pixels, pixels)."""
+    along = (np.arange(pixels) + 0.5 - pixels / 2) * (2 * 30 * math.tan(math.radians(6)) / pixels)
+    return np.hypot(*np.meshgrid(along, along))
+
+
+def lit_floor(lamp, paths, **options):
     """The reflected light of a lamp on a floor, (h, w)."""
     floor = fb.Instance(plane(4, 0), material=fb.Material(color=(1, 1, 1), specular=0))
     glow = fb.Instance(lamp, material=fb.Material(emission=(1, 1, 1), color=(0, 0, 0)), visible=False)
     scene = fb.Scene([floor, glow], [], ambient=0)
-    return fb.render(scene, ABOVE, size=(40, 40), bounces=1, bounce_samples=paths, device="cpu").color[..., 0]
+    options = {"size": (40, 40), "bounces": 1, "bounce_samples": paths, "device": "cpu"} | options
+    return fb.render(scene, ABOVE, **options).color[..., 0]
 
 
 #: Emissive objects without faces, and meshes of the same form.
@@ -172,6 +179,53 @@ def test_lamps_without_faces_have_no_more_noise_than_meshes_of_the_same_form(nam
 
     assert abs(errors[0].mean()) <= 0.02
     assert noise <= 1.3 * of_mesh
+
+
+def test_denoised_light_has_the_mean_of_the_samples_and_a_fraction_of_their_noise():
+    lamp = fb.Mesh(*meshes.icosphere(3, 0.15, (0, 1, 0)))
+    truth = 0.15**2 / (1 + distance_from_axis(40) ** 2) ** 1.5
+    noisy, smooth = (lit_floor(lamp, 256, denoise=denoise) for denoise in (False, True))
+    errors = [light / truth - 1 for light in (noisy, smooth)]
+
+    # The mesh of the ball is 1 % smaller than the ball.
+    assert abs(noisy.mean() / truth.mean() - 1) <= 0.01
+    assert abs(smooth.mean() / noisy.mean() - 1) <= 0.005
+    assert errors[1].std() <= errors[0].std()
+    assert np.diff(errors[1]).std() <= np.diff(errors[0]).std() / 3
+    # Each pixel has paths of its own. The errors of common paths would have a correlation of nearly 1.
+    off = errors[0] - errors[0].mean()
+    assert abs((off[:, 1:] * off[:, :-1]).mean()) <= 0.5 * off.var()
+
+
+def test_denoised_light_keeps_the_edge_of_a_shadow():
+    # Under a luminous strip of the width 0.04 the shadow of the edge of a table ends at x = 0 within a pixel.
+    strip = fb.Mesh([(-0.02, 1, -2), (0.02, 1, -2), (0.02, 1, 2), (-0.02, 1, 2)], [(0, 1, 2), (0, 2, 3)])
+    top = fb.Mesh([(0, 0.5, -3), (2, 0.5, -3), (2, 0.5, 3), (0, 0.5, 3)], [(0, 2, 1), (0, 3, 2)])
+    floor = fb.Instance(plane(4, 0), material=fb.Material(color=(1, 1, 1), specular=0))
+    glow = fb.Instance(strip, material=fb.Material(emission=(9, 9, 9)), visible=False)
+    table = fb.Instance(top, material=fb.Material(color=(0, 0, 0), specular=0), visible=False)
+    scene = fb.Scene([floor, glow, table], [], ambient=0)
+
+    frame = fb.render(scene, ABOVE, size=(64, 64), bounces=1, device="cpu")
+    x = positions(frame, ABOVE)[32, :, 0]
+    light = frame.color[24:40, :, 0].mean(axis=0)
+    pixel = abs(x[1] - x[0])
+    beside = [light[(side * x > pixel) & (side * x < 6 * pixel)].mean() for side in (-1, 1)]
+    lit, dark = max(beside), min(beside)
+
+    assert dark <= 0.1 * lit
+    halfway = np.flatnonzero(np.diff(light > (lit + dark) / 2))
+    assert len(halfway) >= 1
+    assert np.abs((x[halfway] + x[halfway + 1]) / 2).min() <= pixel
+
+
+def test_denoised_light_is_the_same_on_any_number_of_threads():
+    pictures = []
+    for threads in (1, 3):
+        fb.set_threads(threads)
+        pictures.append(lit_floor(fb.sphere(0.15).translate((0, 1, 0)), 32))
+    fb.set_threads(2)
+    assert (pictures[0] == pictures[1]).all()
 
 
 @pytest.mark.parametrize("side", [4.0, 400.0])

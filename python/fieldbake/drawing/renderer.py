@@ -38,7 +38,7 @@ class Renderer:
     ----------
     scene : Scene
         The scene. An object that :class:`Instance` accepts, or a list of objects and instances, is converted to one.
-    size, primary, shadows, ambient_occlusion, bounces, bounce_samples, samples
+    size, primary, shadows, ambient_occlusion, bounces, bounce_samples, denoise, samples
         As for :func:`render`.
     light_scale, exposure, area_samples, far, far_distance, device
         As for :func:`render`.

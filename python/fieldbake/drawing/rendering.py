@@ -56,6 +56,7 @@ class RenderOptions(TypedDict, total=False):
     ambient_occlusion: bool | float
     bounces: int
     bounce_samples: int
+    denoise: bool
     samples: int
     light_scale: int
     exposure: float
@@ -121,6 +122,7 @@ class Options:
     bounce_samples: int = field(
         default=256, metadata=row(_integer(1, 65536), "Paths of light for each surface with --bounces.")
     )
+    denoise: bool = field(default=True, metadata=row(checks.flag, "Remove the noise of sampled light."))
     samples: int = field(
         default=1, metadata=row(_integer(1, 64), "Colour samples per pixel for smooth edges: 1, 4, 9, 16, ...")
     )
@@ -257,8 +259,11 @@ def render(scene: Any, camera: Camera | None = None, **options: Unpack[RenderOpt
         blocked. They replace `ambient_occlusion` and do not use `far`. Paths are evaluated on the CPU for pictures of
         every device, and interpolated between pixels like occlusion.
     bounce_samples : int, default 256
-        Number of paths for each evaluated surface with `bounces`. All surfaces use the same directions, relative to
-        their normals, so too few paths cause faint bands instead of noise. The time is proportional to the number.
+        Number of paths for each evaluated surface with `bounces`. Half as many further paths, with the same directions
+        at all surfaces, decide which surfaces are evaluated. The time is proportional to the number.
+    denoise : bool, default True
+        Whether the noise of the paths of `bounces` is removed by an edge-aware filter over the picture. False leaves
+        the mean of its own paths at each pixel, all of which are evaluated then: it takes several times longer.
     samples : int, default 1
         Colour samples per pixel, a square number up to 64: 1, 4, 9, 16, ... Higher values smooth edges. Depth,
         normals and ids are taken at the pixel centre. Lighting is interpolated from neighbouring centres where they

@@ -174,6 +174,8 @@ pub struct RenderOptions {
     pub occlusion: Option<f64>,
     /// Indirect diffuse light in place of the ambient light and its occlusion; None without.
     pub bounces: Option<BounceOptions>,
+    /// Whether the noise of sampled light is removed; see [`crate::scene::lighting::denoise`].
+    pub denoise: bool,
     /// Far field for rays beyond a distance; without it the instances are evaluated everywhere.
     pub far: Option<FarField>,
     /// Linear RGBA of pixels without a hit.

@@ -9,15 +9,16 @@
 //! the edge of a shadow, the light is evaluated. Occlusion and indirect light are smoother than shadows, so they are
 //! evaluated on a coarser lattice, and their interpolation regards normals and curvature ([`super::upsampling`]).
 
+use super::denoise;
 use super::device_beams::evaluate_by_beams;
 use super::device_light::light_faces;
 use super::light_buffer::{LightBuffer, LightRow, parts_of};
 use super::pass::Pass;
 use super::tile::{TILE, Tiles};
-use super::upsampling::gather;
+use super::upsampling::{gather, least_level};
 use crate::error::Error;
 use crate::scene::content::options::RenderOptions;
-use crate::scene::light::bounces::Bounces;
+use crate::scene::light::bounces::{Bounces, Paths};
 use crate::scene::light::light_rays::LightWork;
 use crate::scene::light::lit_surface::{Lights, LitSurface};
 use crate::scene::light::occlusion::Occluders;
@@ -42,7 +43,9 @@ pub(crate) const FIND_WORTH: u64 = 12;
 pub(crate) fn find_count(options: &RenderOptions, passes: u32, is_lit: bool) -> u64 {
     // The occlusion of a first pass is computed separately from the lights, at its own scale.
     let direct = if is_lit { 0 } else { u64::from(passes) + u64::from(options.occlusion.is_some()) };
-    direct + u64::from(passes) * u64::from(options.bounces.is_some())
+    // The first pass finds the light of common paths, then of own ones.
+    let indirect = u64::from(passes) + u64::from(options.denoise);
+    direct + if options.bounces.is_some() { indirect } else { 0 }
 }
 
 /// Finds the occlusion of a pass at its scale, then the light that arrives from the lights.
@@ -78,18 +81,33 @@ pub(crate) fn find_bounces(
     centre: Option<(&GBuffer, &LightBuffer)>,
 ) -> Result<LightBuffer, Error> {
     let no_lights = Lights { lights: Vec::new() };
-    let pass = Pass { lights: &no_lights, bounces: Some(bounces), device: None, ..*pass };
-    match centre {
-        None => {
-            let [width, height] = pass.options.size;
-            let mut every = SMOOTH_SCALE;
-            while every > 1 && every * LEAST_LATTICE > width.min(height) {
-                every /= 2;
-            }
-            find_at(&pass, every)
-        }
-        Some((buffer, centre)) => find_between(&pass, buffer, centre),
+    let pass = Pass { lights: &no_lights, bounces: Some(bounces), own_paths: true, device: None, ..*pass };
+    if let Some((buffer, centre)) = centre {
+        return find_between(&pass, buffer, centre);
     }
+    let mut own = unknown(&pass);
+    if !pass.options.denoise {
+        evaluate(&pass, &mut own, &|_, _| true, FIND_WORTH)?;
+        return Ok(own);
+    }
+    let [width, height] = pass.options.size;
+    let mut every = SMOOTH_SCALE;
+    while every > 1 && every * LEAST_LATTICE > width.min(height) {
+        every /= 2;
+    }
+    let guide = find_at(&Pass { own_paths: false, ..pass }, every)?;
+    let is_evaluated = |work: &LightWork| work.rays > 0;
+    for (own, guide) in own.rows.iter_mut().zip(&guide.rows) {
+        own.is_known = guide.work.iter().map(|work| !is_evaluated(work)).collect();
+    }
+    evaluate(&pass, &mut own, &|_, _| true, FIND_WORTH)?;
+    for (own, guide) in own.rows.iter_mut().zip(&guide.rows) {
+        for ((known, work), &common) in own.is_known.iter_mut().zip(&mut own.work).zip(&guide.work) {
+            *known = is_evaluated(&common);
+            *work += common;
+        }
+    }
+    denoise::filter(pass.buffer, &guide, own, [least_level(pass.options), bounces.paths() as f32], pass.progress)
 }
 
 /// Interpolates light from a G-buffer at the centres of the pixels, and evaluates the rest.
@@ -181,7 +199,8 @@ fn evaluate_row(
                 Some(bounces) => {
                     let mut work = LightWork::default();
                     // Neighbours with another material interpolate the light of surfaces without lighting too.
-                    values.copy_from_slice(&bounces.light_on(&surface.place, &mut work).to_array());
+                    let paths = if pass.own_paths { Paths::Own { x: layer.x, y: y as u32 } } else { Paths::Common };
+                    values.copy_from_slice(&bounces.light_on(&surface.place, paths, &mut work).to_array());
                     pass.progress.check()?;
                     work
                 }

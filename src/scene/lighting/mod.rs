@@ -1,6 +1,7 @@
 //! The light pass: light on all surfaces of a picture, evaluated or interpolated, and their colours.
 
 pub(crate) mod compose;
+pub(crate) mod denoise;
 pub(crate) mod device_beams;
 pub(crate) mod device_light;
 pub(crate) mod evaluation;

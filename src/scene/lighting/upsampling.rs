@@ -3,6 +3,7 @@
 use super::light_buffer::LightBuffer;
 use super::pass::Pass;
 use crate::error::Error;
+use crate::scene::content::options::RenderOptions;
 use crate::scene::light::lit_surface::LitSurface;
 use crate::scene::visibility::gbuffer::{GBuffer, Layer};
 use glam::{DVec3, Mat3, Vec3};
@@ -48,6 +49,11 @@ impl OpenLimits {
 
 /// Smallest level of indirect light, times the exposure, to which limits are relative.
 const LEAST_LEVEL: f32 = 1.0 / 16.0;
+/// Smallest level of indirect light to which limits are relative.
+pub(crate) fn least_level(options: &RenderOptions) -> f32 {
+    LEAST_LEVEL / options.exposure.max(f32::MIN_POSITIVE)
+}
+
 /// Smallest difference of values for which their change is estimated.
 const NOTABLE: f32 = 1.0 / 32.0;
 /// Weight of the values beyond the neighbours in the estimate of the change with the normal.
@@ -81,7 +87,7 @@ pub(crate) fn gather(
             let values = &mut row.values[i * stride..][..stride];
             let around = Around::new(pass.buffer, (y, layer), (source, evaluated), every);
             if let Some(limits) = open {
-                let unit = pass.bounces.map(|_| LEAST_LEVEL / pass.options.exposure.max(f32::MIN_POSITIVE));
+                let unit = pass.bounces.map(|_| least_level(pass.options));
                 row.is_known[i] = around.smooth_light(&limits, unit, &mut neighbours, values);
                 continue;
             }

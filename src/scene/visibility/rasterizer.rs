@@ -482,6 +482,7 @@ mod tests {
 
     fn options() -> RenderOptions {
         RenderOptions {
+            denoise: true,
             size: [64, 49],
             primary: Primary::Auto,
             shadows: SceneShadows::None,

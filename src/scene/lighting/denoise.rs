@@ -1,0 +1,181 @@
+//! Removes the noise of sampled light: an edge-aware filter over the pixels of a picture.
+//!
+//! # Theory
+//!
+//! Light that is sampled by random paths has noise. Each evaluated pixel has paths of its own, so the errors of
+//! neighbours differ, and their mean is more precise than each of them. The filter is the à-trous wavelet
+//! transform with edge-stopping weights (Dammertz et al., *Edge-avoiding à-trous wavelet transform for fast global
+//! illumination filtering*, HPG 2010): repeated sums over 5 x 5 pixels whose distance doubles from one to the next.
+//!
+//! Two pixels share light if their surfaces belong to one instance, lie in one plane and have similar normals, and if a
+//! guide has similar values there. The guide is the same light by fewer paths, which have the same directions at all
+//! pixels. It has errors too, but they change slowly from pixel to pixel, so it shows where light really changes: at
+//! contacts, and at the edges of shadows.
+//!
+//! Only some pixels are evaluated. The sums are normalised convolutions: a pixel without a value has the weight 0, and
+//! obtains one from its neighbours (Knutsson and Westin, CVPR 1993). The weight of a value is the number of evaluated
+//! pixels that it has the precision of. A sum replaces only the part of a value that reduces the error to that of the
+//! mean of [`ENOUGH`] paths, so places with many evaluated pixels keep their detail.
+//!
+//! A mean over pixels flattens peaks of light. The filter is therefore applied a second time to what it has removed,
+//! and the result is added (twicing: Tukey, *Exploratory data analysis*, 1977).
+
+use super::light_buffer::LightBuffer;
+use crate::error::Error;
+use crate::progress::Progress;
+use crate::scene::visibility::gbuffer::{GBuffer, Layer};
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Number of sums. The pixels of the last one are 32 apart at most.
+const SUMS: u32 = 5;
+/// Weights of the five pixels of a row or column: a cubic B-spline.
+const SPLINE: [f32; 3] = [3.0 / 8.0, 1.0 / 4.0, 1.0 / 16.0];
+/// Number of paths whose mean is precise enough.
+const ENOUGH: f32 = 16_384.0;
+/// Relative difference of two values of the guide that reduces their weight to 1/e.
+const GUIDE: f32 = 0.15;
+/// Smallest cosine between the normals of surfaces that share light.
+const LEAST_COSINE: f32 = 0.8;
+/// Angle between normals that reduces the weight to 1/e, as a difference of the cosine from 1.
+const NORMAL: f32 = 0.005;
+/// Largest distance from the plane of a surface at which others share its light, in pixels between the two.
+const OFF_PLANE: f64 = 0.5;
+
+/// Light on the layers of a row: RGB, and the number of evaluated pixels that each value has the precision of.
+type Row = Vec<(Vec3, f32)>;
+
+/// Filters the light of evaluated pixels, those that are known in `own`. `guide` has light on all layers. `unit` is the
+/// smallest level of light to which differences are relative, and `paths` the number of paths of an evaluated pixel.
+/// Returns filtered light on all layers.
+pub(crate) fn filter(
+    buffer: &GBuffer,
+    guide: &LightBuffer,
+    mut own: LightBuffer,
+    [unit, paths]: [f32; 2],
+    progress: &Progress,
+) -> Result<LightBuffer, Error> {
+    let firsts: Vec<Vec<u32>> = buffer.rows.par_iter().map(|row| first_layers(row, buffer.view.size[0])).collect();
+    let picture = Picture { buffer, firsts: &firsts, guide, unit, enough: ENOUGH / paths };
+    let evaluated: Vec<Row> = own
+        .rows
+        .iter()
+        .map(|row| {
+            let values = row.values.as_chunks::<3>().0.iter().zip(&row.is_known);
+            values.map(|(value, &known)| (Vec3::from_array(*value), f32::from(u8::from(known)))).collect()
+        })
+        .collect();
+    let mut light = picture.sums(evaluated.clone(), progress)?;
+    let rest = evaluated
+        .iter()
+        .zip(&light)
+        .map(|(row, light)| row.iter().zip(light).map(|(&(value, count), &(mean, _))| (value - mean, count)).collect());
+    let rest = picture.sums(rest.collect(), progress)?;
+    for (row, rest) in light.iter_mut().zip(rest) {
+        row.iter_mut().zip(rest).for_each(|((value, _), (rest, _))| *value += rest);
+    }
+    for ((row, light), guide) in own.rows.iter_mut().zip(light).zip(&guide.rows) {
+        for (i, (value, count)) in light.into_iter().enumerate() {
+            let value = if count > 0.0 { value } else { Vec3::from_slice(&guide.values[3 * i..][..3]) };
+            row.values[3 * i..][..3].copy_from_slice(&value.to_array());
+            row.is_known[i] = true;
+        }
+    }
+    Ok(own)
+}
+
+/// Index of the first layer of each pixel of a row, and the number of layers.
+fn first_layers(row: &[Layer], width: u32) -> Vec<u32> {
+    let mut firsts = Vec::with_capacity(width as usize + 1);
+    let mut next = 0;
+    for x in 0..=width {
+        while row.get(next).is_some_and(|layer| layer.x < x) {
+            next += 1;
+        }
+        firsts.push(next as u32);
+    }
+    firsts
+}
+
+/// The surfaces of a picture and its guide.
+struct Picture<'a> {
+    buffer: &'a GBuffer,
+    firsts: &'a [Vec<u32>],
+    guide: &'a LightBuffer,
+    /// Smallest level of light to which differences are relative.
+    unit: f32,
+    /// Number of evaluated pixels whose mean is precise enough.
+    enough: f32,
+}
+
+impl Picture<'_> {
+    /// All sums of the light on the layers.
+    fn sums(&self, mut light: Vec<Row>, progress: &Progress) -> Result<Vec<Row>, Error> {
+        for sum in 0..SUMS {
+            light = (0..light.len())
+                .into_par_iter()
+                .map(|y| {
+                    progress.check()?;
+                    Ok((0..light[y].len()).map(|i| self.sum(&light, y, i, 1 << sum)).collect())
+                })
+                .collect::<Result<_, Error>>()?;
+        }
+        Ok(light)
+    }
+
+    /// The weighted mean of 5 x 5 pixels around layer `i` of row `y`, `apart` from each other.
+    fn sum(&self, light: &[Row], y: usize, i: usize, apart: i32) -> (Vec3, f32) {
+        let own = light[y][i];
+        if own.1 >= self.enough {
+            return own;
+        }
+        let view = &self.buffer.view;
+        let layer = &self.buffer.rows[y][i];
+        let p = view.position(layer.x, y as u32, layer.depth);
+        let pixel = view.pixel_size_at(layer.depth);
+        let level = Vec3::from_slice(self.guide.values_at(y, i).0);
+        let (mut sum, mut total, mut squares) = (Vec3::ZERO, 0.0, 0.0);
+        for dy in -2..=2i32 {
+            let line = y as i32 + dy * apart;
+            let Some(firsts) = usize::try_from(line).ok().and_then(|line| self.firsts.get(line)) else { continue };
+            let line = line as usize;
+            for dx in -2..=2i32 {
+                let column = layer.x as i32 + dx * apart;
+                if column < 0 || column >= view.size[0] as i32 {
+                    continue;
+                }
+                let column = column as usize;
+                for k in firsts[column] as usize..firsts[column + 1] as usize {
+                    let (value, count) = light[line][k];
+                    let other = &self.buffer.rows[line][k];
+                    let cosine = other.normal.dot(layer.normal);
+                    if count == 0.0 || other.instance != layer.instance || cosine < LEAST_COSINE {
+                        continue;
+                    }
+                    let off = view.position(other.x, line as u32, other.depth) - p;
+                    let reach = OFF_PLANE * pixel * f64::from(apart * dx.abs().max(dy.abs())).max(1.0);
+                    if layer.normal.as_dvec3().dot(off).abs() > reach {
+                        continue;
+                    }
+                    let other_level = Vec3::from_slice(self.guide.values_at(line, k).0);
+                    let brightest = level.max(other_level).max_element().max(self.unit);
+                    let change = (other_level - level).abs().max_element() / (GUIDE * brightest);
+                    let weight = SPLINE[dx.unsigned_abs() as usize]
+                        * SPLINE[dy.unsigned_abs() as usize]
+                        * (-change * change - (1.0 - cosine) / NORMAL).exp();
+                    sum += weight * count * value;
+                    total += weight * count;
+                    squares += weight * weight * count;
+                    break;
+                }
+            }
+        }
+        let count = if total > 0.0 { total * total / squares } else { 0.0 };
+        if count <= own.1 {
+            return own;
+        }
+        // The part of the sum that reduces the error of the value to that of enough pixels.
+        let part = ((1.0 - (own.1 / self.enough).sqrt()) / (1.0 - (own.1 / count).sqrt())).min(1.0);
+        (own.0.lerp(sum / total, part), count.min(self.enough))
+    }
+}
