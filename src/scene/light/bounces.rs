@@ -17,9 +17,9 @@
 //!
 //! [`Paths::Common`] have the same points of the disc and the same further samples at all surfaces. Their error is
 //! smooth across a surface, so they show where light changes, and it can be interpolated
-//! ([`crate::scene::lighting::upsampling`]). [`Paths::Own`] differ from pixel to pixel: those of a pixel continue the
-//! low-discrepancy sequence of the pixels before it in a space-filling curve (Morton order), so neighbours together
-//! have the samples of a longer sequence. Their errors average out ([`crate::scene::lighting::denoise`]).
+//! ([`crate::scene::lighting::upsampling`]). [`Paths::Own`] differ from pixel to pixel: the paths of a pixel continue
+//! the low-discrepancy sequence of the pixels before it in a space-filling curve (Morton order), so neighbours
+//! together have the samples of a longer sequence. Their errors average out ([`crate::scene::lighting::denoise`]).
 
 use super::emitters::Emitters;
 use super::light_rays::{GOLDEN_ANGLE, LightRay, LightWork, SurfacePoint, basis};

@@ -14,8 +14,8 @@
 //!
 //! Only some pixels are evaluated. The sums are normalised convolutions: a pixel without a value has the weight 0, and
 //! obtains one from its neighbours (Knutsson and Westin, CVPR 1993). The weight of a value is the number of evaluated
-//! pixels that it has the precision of. A sum replaces only the part of a value that reduces the error to that of the
-//! mean of [`ENOUGH`] paths, so places with many evaluated pixels keep their detail.
+//! pixels that it has the precision of. A sum replaces only the part of a value that reduces the error to the error of
+//! the mean of [`ENOUGH`] paths, so places with many evaluated pixels keep their detail.
 //!
 //! A mean over pixels flattens peaks of light. The filter is therefore applied a second time to what it has removed,
 //! and the result is added (twicing: Tukey, *Exploratory data analysis*, 1977).
@@ -174,7 +174,7 @@ impl Picture<'_> {
         if count <= own.1 {
             return own;
         }
-        // The part of the sum that reduces the error of the value to that of enough pixels.
+        // The part of the sum that reduces the error of the value to the error of the mean of enough pixels.
         let part = ((1.0 - (own.1 / self.enough).sqrt()) / (1.0 - (own.1 / count).sqrt())).min(1.0);
         (own.0.lerp(sum / total, part), count.min(self.enough))
     }
