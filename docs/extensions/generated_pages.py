@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import typer
+from file_table import cell, files
 from sphinx.application import Sphinx
 from typer.core import TyperCommand, TyperGroup
 
@@ -17,9 +18,6 @@ ROOT = DOCS.parent
 
 #: Documents of the root that are pages of the site.
 DOCUMENTS = ("ARCHITECTURE", "CHANGELOG", "CONTRIBUTING")
-
-#: Folders of the source and the ending of their files.
-SOURCES = {"src": ".rs", "shaders": ".wgsl", "python/fieldbake": ".py", "web/src": ".ts"}
 
 
 def document(name: str) -> str:
@@ -36,10 +34,6 @@ def document(name: str) -> str:
     return re.sub(r"(?<!!)\[([^\]]+)\]\(([^)\s]+)\)", link, text)
 
 
-def _cell(text: str) -> str:
-    return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;").replace("[", "\\[")
-
-
 def _parameters(command: TyperCommand | TyperGroup, context: typer.Context, without: tuple[str, ...] = ()) -> list[str]:
     """Definition lists of the arguments and options of a command, except those with the names in `without`."""
     lines = []
@@ -48,7 +42,7 @@ def _parameters(command: TyperCommand | TyperGroup, context: typer.Context, with
         if record is not None and parameter.name not in without:
             # The type of an argument is Python's; its name says enough.
             name = record[0].split()[0] if parameter.param_type_name == "argument" else record[0]
-            lines += [f"`{name}`", f": {_cell(record[1])}", ""]
+            lines += [f"`{name}`", f": {cell(record[1])}", ""]
     return lines
 
 
@@ -74,41 +68,8 @@ def commands() -> str:
         lines += [f"## {name}", "", "```text", f"fieldbake {name} {usage}", "```", ""]
         paragraphs = re.split(r"\n\s*\n", (command.help or "").replace("\b", "").strip())
         for paragraph in paragraphs:
-            lines += [_cell(paragraph), ""]
+            lines += [cell(paragraph), ""]
         lines += _parameters(command, inner, without=("help",))
-    return "\n".join(lines)
-
-
-#: Mark of a comment at the top of a file, by the ending of the file. A docstring ends with its mark too.
-_MARKS = {".rs": "//!", ".wgsl": "//", ".ts": "//", ".py": '"""'}
-
-
-def first_sentence(path: Path) -> str:
-    """The first sentence of the comment or docstring at the top of a source file; empty if the file has none."""
-    mark = _MARKS[path.suffix]
-    paragraph = []
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines()):
-        text = line.removeprefix(mark).removesuffix('"""').strip()
-        if not text or not (line.startswith(mark) or (path.suffix == ".py" and number)):
-            break
-        paragraph.append(text)
-    return re.split(r"(?<=\.)(?:\s|$)", " ".join(paragraph), maxsplit=1)[0]
-
-
-def files() -> str:
-    """A table for each folder of the source: its files, each with the first sentence of its header."""
-    lines = [
-        "# Files of the source",
-        "",
-        "Each file starts with a comment that states its subject; this page is generated from the first sentences.",
-        "",
-    ]
-    for root, ending in SOURCES.items():
-        found = [path for path in sorted((ROOT / root).rglob(f"*{ending}")) if first_sentence(path)]
-        for folder in sorted({path.parent for path in found}):
-            lines += [f"## {folder.relative_to(ROOT).as_posix()}", "", "| file | contents |", "|---|---|"]
-            lines += [f"| `{path.name}` | {_cell(first_sentence(path))} |" for path in found if path.parent == folder]
-            lines.append("")
     return "\n".join(lines)
 
 

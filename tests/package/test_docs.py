@@ -69,10 +69,10 @@ def test_code_of_pages_that_are_not_executed_is_python():
 
 
 def test_every_source_file_has_a_sentence_for_the_table_of_files():
-    pages = runpy.run_path(str(DOCS / "extensions" / "generated_pages.py"))
-    for root, ending in pages["SOURCES"].items():
+    table = runpy.run_path(str(DOCS / "extensions" / "file_table.py"))
+    for root, ending in table["SOURCES"].items():
         found = sorted((ROOT / root).rglob(f"*{ending}"))
-        without = [path.relative_to(ROOT) for path in found if not pages["first_sentence"](path).endswith(".")]
+        without = [path.relative_to(ROOT) for path in found if not table["first_sentence"](path).endswith(".")]
         assert len(found) > 5
         assert [path for path in without if path.name != "tests.rs"] == []
 
