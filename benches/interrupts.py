@@ -213,6 +213,33 @@ CALLS: dict[str, tuple[str, str]] = {
         "r.self_intersections; r.genus; r.thinnest_part",
     ),
     "load_mesh stl": ("fb.Mesh(*ball(2000)).save(folder + '/l.stl')", "fb.load_mesh(folder + '/l.stl')"),
+    "sweep": (
+        "m = fb.Mesh(*ball(60)); t = np.linspace(0, 3, 40)[:, None, None]; poses = np.eye(4) + t * np.eye(4, k=3)",
+        "fb.sweep(m, poses, 200)",
+    ),
+    "clearance": (
+        "a, b = fb.Mesh(*ball(400)), fb.Mesh(*ball(400)); p = np.eye(4) + 1.9 * np.eye(4, k=3)",
+        "fb.clearance(a, b, pose_b=p)",
+    ),
+    "slices": ("m = fb.Mesh(*ball(100))", "list(fb.slices(m, 0.002, pixel=0.002))"),
+    "sample_edges": ("m = fb.box(1).to_mesh(4)", "fb.sample_edges(m, 20_000_000)"),
+    "PointCloud, areas": (
+        "p = fb.sample_surface(fb.Mesh(*ball(100)), 1_000_000)",
+        "fb.PointCloud(p.points, p.normals).areas",
+    ),
+    "PointCloud.oriented": (
+        "p = fb.sample_surface(fb.Mesh(*ball(100)), 200_000)",
+        "fb.PointCloud(p.points).oriented()",
+    ),
+    "contains of a cloud": (
+        "p = fb.sample_surface(fb.Mesh(*ball(100)), 200_000); c = fb.PointCloud(p.points, p.normals); "
+        "q = scattered(3_000_000)",
+        "fb.contains(c, q)",
+    ),
+    "solid of a cloud": (
+        "p = fb.sample_surface(fb.Mesh(*ball(100)), 200_000); c = fb.PointCloud(p.points, p.normals)",
+        "fb.solid(c, 256)",
+    ),
     "devices": ("", "fb.devices()"),
 }
 for _ending in ("npz", "vdb", "nvdb", "vti", "vf", "dds", "ktx2", "nrrd", "exr"):

@@ -81,11 +81,13 @@ impl Job<'_> {
         let scale = self.mesh.scale();
         dense::distances(self.mesh, &self.local, far.width() as f32, scale as f32, self.progress, out)?;
         if !matches!(far, BeyondBand::Exact) {
-            out.par_chunks_mut(self.local.shape()[0]).enumerate().for_each(|(row, samples)| {
+            out.par_chunks_mut(self.local.shape()[0]).enumerate().try_for_each(|(row, samples)| {
+                self.progress.check()?;
                 for (x, sample) in samples.iter_mut().enumerate() {
                     *sample = (far.clip(self.voxel(x, row), f64::from(*sample) / scale) * scale) as f32;
                 }
-            });
+                Ok::<_, Error>(())
+            })?;
         }
         Ok(Counts::default())
     }

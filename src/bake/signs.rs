@@ -134,7 +134,7 @@ impl SignPass<'_> {
             let at = |[x, y, z]: [usize; 3]| self.local.at([x, y, first_plane + z]);
             let mut set = |[x, y, z]: [usize; 3], rounded: i32| fractions[x + nx * (y + ny * z)] = rounded as i16;
             let block = SampleBlock { low: [0; 3], high: [nx, ny, planes], at: &at };
-            counts.undecided = openings.for_each_rounded_fraction(&block, &mut set);
+            counts.undecided = openings.for_each_rounded_fraction(&block, self.progress, &mut set)?;
         }
         let surface = ClosedSurface::new(self.mesh, &openings.caps);
         let mut windings = vec![0i16; nx * ny];

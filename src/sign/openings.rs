@@ -22,8 +22,10 @@ use super::caps::{ANGLE_ERROR, CapPack};
 use super::closing::{self, Cap};
 use super::crossing::{Axes, ClosedSurface, crossing};
 use crate::bvh::WIDTH;
+use crate::error::Error;
 use crate::geometry::{SolidAngles, triangle_cross};
 use crate::mesh::Mesh;
+use crate::progress::Progress;
 use glam::{DMat3, DVec3};
 use robust::{Coord3D, orient3d};
 use std::f64::consts::PI;
@@ -229,8 +231,14 @@ impl Openings {
     }
 
     /// Computes the nearest integer of the fraction at each sample of a block and passes it to `set`. Returns the
-    /// number of samples that were close to undecided.
-    pub fn for_each_rounded_fraction(&self, block: &SampleBlock<'_>, set: &mut impl FnMut([usize; 3], i32)) -> usize {
+    /// number of samples that were close to undecided. Fails once the job of `progress` is cancelled.
+    pub fn for_each_rounded_fraction(
+        &self,
+        block: &SampleBlock<'_>,
+        progress: &Progress,
+        set: &mut impl FnMut([usize; 3], i32),
+    ) -> Result<usize, Error> {
+        progress.check()?;
         let &SampleBlock { low, high, at } = block;
         let (first, last) = (at(low), at(high.map(|i| i - 1)));
         let center = (first + last) * 0.5;
@@ -238,7 +246,7 @@ impl Openings {
         if (0..3).all(|axis| high[axis] - low[axis] == 1) {
             let (rounded, decided) = self.round(center);
             set(low, rounded);
-            return usize::from(!decided);
+            return Ok(usize::from(!decided));
         }
         if let Some(rounded) = self.rounded_within(center, radius) {
             for z in low[2]..high[2] {
@@ -248,7 +256,7 @@ impl Openings {
                     }
                 }
             }
-            return 0;
+            return Ok(0);
         }
         // Halves the longest side.
         let axis = (0..3).max_by_key(|&axis| high[axis] - low[axis]).unwrap_or(0);
@@ -257,7 +265,8 @@ impl Openings {
         right_low[axis] = left_high[axis];
         let left = SampleBlock { low, high: left_high, at };
         let right = SampleBlock { low: right_low, high, at };
-        self.for_each_rounded_fraction(&left, set) + self.for_each_rounded_fraction(&right, set)
+        let undecided = self.for_each_rounded_fraction(&left, progress, set)?;
+        Ok(undecided + self.for_each_rounded_fraction(&right, progress, set)?)
     }
 
     /// The integer nearest to the fraction everywhere within `radius` of `center`; None if a single value is not

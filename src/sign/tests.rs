@@ -5,6 +5,7 @@ use super::openings::SampleBlock;
 use super::*;
 use crate::geometry::solid_angle;
 use crate::mesh::random::uniform;
+use crate::progress::Progress;
 use proptest::prelude::*;
 use std::f64::consts::PI;
 
@@ -147,11 +148,11 @@ proptest! {
         let at = |voxel: [usize; 3]| DVec3::from_array(voxel.map(|i| -1.2 + i as f64 * 0.11));
         let mut seen = 0;
         let block = SampleBlock { low: [0; 3], high: [23, 22, 21], at: &at };
-        openings.for_each_rounded_fraction(&block, &mut |voxel, rounded| {
+        openings.for_each_rounded_fraction(&block, &Progress::new(), &mut |voxel, rounded| {
             seen += 1;
             assert_eq!(rounded, openings.fraction(at(voxel)).round() as i32);
             assert_eq!(rounded, openings.rounded_ball(at(voxel)).0);
-        });
+        }).unwrap();
         prop_assert_eq!(seen, 23 * 22 * 21);
     }
 
@@ -167,13 +168,13 @@ proptest! {
         let at = |voxel: [usize; 3]| corner + DVec3::from_array(voxel.map(|i| i as f64 * step));
         let block = SampleBlock { low: [0; 3], high: [9, 8, 7], at: &at };
         let rule = SignRule::Counted(Openings::of(&mesh));
-        openings.for_each_rounded_fraction(&block, &mut |voxel, rounded| {
+        openings.for_each_rounded_fraction(&block, &Progress::new(), &mut |voxel, rounded| {
             let p = at(voxel);
             assert_eq!(rounded, openings.fraction(p).round() as i32);
             assert_eq!(rounded, openings.rounded_ball(p).0);
             let winding = brute_force(&mesh, p).abs();
             assert!(rule.is_inside_without_distance(&mesh, p) == (winding > 0.5) || (winding - 0.5).abs() < 1e-9);
-        });
+        }).unwrap();
         // Neither the slope nor the clearance of a ball is too small: points of the ball have its integer.
         for _ in 0..20 {
             let p = DVec3::new(next() - 0.5, next() - 0.5, next() - 0.5);
@@ -317,7 +318,9 @@ fn the_side_is_right_among_hundreds_of_openings() {
     assert_eq!(openings.rounded_ball(p).0, winding);
     let at = |_: [usize; 3]| p;
     let block = SampleBlock { low: [0; 3], high: [1; 3], at: &at };
-    openings.for_each_rounded_fraction(&block, &mut |_, rounded| assert_eq!(rounded, winding));
+    openings
+        .for_each_rounded_fraction(&block, &Progress::new(), &mut |_, rounded| assert_eq!(rounded, winding))
+        .unwrap();
     assert!(!rule.is_inside_without_distance(&mesh, p));
     assert!(!SideWalk::default().is_inside_without_distance(&rule, &mesh, p));
 }

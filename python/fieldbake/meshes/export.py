@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import io
+import itertools
 import os
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import IO, Any
 
 import numpy as np
@@ -25,6 +26,9 @@ KINDS = (".stl", ".obj", ".ply", ".glb", ".3mf")
 
 #: Faces of an STL file that are written at once: 3 MB, which stay in the caches of the processor.
 STL_BATCH = 1 << 16
+
+#: Rows of a text file that are written at once.
+ROW_BATCH = 1 << 16
 
 
 def mesh_kind(path: str | os.PathLike[str]) -> str:
@@ -54,6 +58,11 @@ def save_mesh(vertices: Vertices, faces: Faces, stl_records: StlRecords, path: s
             stream.write(exported)
 
 
+def _batches(rows: NDArray[Any]) -> Iterator[NDArray[Any]]:
+    """Divide rows into parts, between which Ctrl-C ends the work."""
+    return (rows[first : first + ROW_BATCH] for first in range(0, len(rows), ROW_BATCH))
+
+
 def _write_stl(count: int, records: StlRecords, stream: IO[bytes]) -> None:
     """Write binary STL: the normal and the corners of every face, float32."""
     stream.write(b"fieldbake".ljust(80))
@@ -64,9 +73,10 @@ def _write_stl(count: int, records: StlRecords, stream: IO[bytes]) -> None:
 
 def _write_obj(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:
     """Write text with enough digits to restore every float64 exactly."""
-    lines = [f"v {x!r} {y!r} {z!r}\n" for x, y, z in vertices.tolist()]
-    lines += [f"f {a} {b} {c}\n" for a, b, c in (faces.astype(np.int64) + 1).tolist()]
-    stream.write("".join(lines).encode("ascii"))
+    for rows in _batches(vertices):
+        stream.write("".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in rows.tolist()).encode("ascii"))
+    for rows in _batches(faces):
+        stream.write("".join(f"f {a} {b} {c}\n" for a, b, c in (rows.astype(np.int64) + 1).tolist()).encode("ascii"))
 
 
 def _write_ply(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:
@@ -86,14 +96,21 @@ def _write_ply(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:
 
 def _write_3mf(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:
     """Write a 3MF package with one object; positions count as millimetres."""
-    corners = "".join(f'<vertex x="{x!r}" y="{y!r}" z="{z!r}"/>' for x, y, z in vertices.tolist())
-    triangles = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in faces.tolist())
-    model = (
+    head = (
         '<?xml version="1.0" encoding="UTF-8"?>\n'
         '<model unit="millimeter" xml:lang="en-US" xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02">'
-        '<resources><object id="1" type="model"><mesh>'
-        f"<vertices>{corners}</vertices><triangles>{triangles}</triangles>"
-        '</mesh></object></resources><build><item objectid="1"/></build></model>'
+        '<resources><object id="1" type="model"><mesh><vertices>'
+    )
+    tail = '</triangles></mesh></object></resources><build><item objectid="1"/></build></model>'
+    model = itertools.chain(
+        [head],
+        (
+            "".join(f'<vertex x="{x!r}" y="{y!r}" z="{z!r}"/>' for x, y, z in rows.tolist())
+            for rows in _batches(vertices)
+        ),
+        ["</vertices><triangles>"],
+        ("".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in rows.tolist()) for rows in _batches(faces)),
+        [tail],
     )
     types = (
         '<?xml version="1.0" encoding="UTF-8"?>\n'
@@ -109,7 +126,12 @@ def _write_3mf(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:
     )
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, text in (("[Content_Types].xml", types), ("_rels/.rels", relations), ("3D/3dmodel.model", model)):
+        members = (("[Content_Types].xml", [types]), ("_rels/.rels", [relations]), ("3D/3dmodel.model", model))
+        for name, texts in members:
             # A fixed date, so that equal meshes make equal files.
-            archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), text, zipfile.ZIP_DEFLATED)
+            info = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
+            info.compress_type = zipfile.ZIP_DEFLATED
+            with archive.open(info, "w") as member:
+                for text in texts:
+                    member.write(text.encode())
     stream.write(buffer.getvalue())
