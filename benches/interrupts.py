@@ -283,22 +283,28 @@ class Child:
     def __init__(self, setup: str, call: str) -> None:
         text = CHILD.replace("SHARED", repr(SHARED)).replace("SETUP", repr(setup)).replace("CALL", repr(call))
         self.process = subprocess.Popen(
-            [sys.executable, "-c", text], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
+            [sys.executable, "-c", text], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
         )
+        self.received = b""
         self.write("begin")
         self.expect("ready")
 
     def write(self, line: str) -> None:
         assert self.process.stdin
-        self.process.stdin.write(line + "\n")
-        self.process.stdin.flush()
+        self.process.stdin.write(line.encode() + b"\n")
 
-    def read(self) -> list[str]:
+    def read(self, within: float | None = None) -> list[str]:
+        """The words of the next line; none if it does not arrive within some seconds."""
         assert self.process.stdout
-        line = self.process.stdout.readline()
-        if not line:
-            raise RuntimeError(f"the child ended with status {self.process.wait()}")
-        return line.split()
+        while b"\n" not in self.received:
+            if not select.select([self.process.stdout], [], [], within)[0]:
+                return []
+            part = os.read(self.process.stdout.fileno(), 4096)
+            if not part:
+                raise RuntimeError(f"the child ended with status {self.process.wait()}")
+            self.received += part
+        line, _, self.received = self.received.partition(b"\n")
+        return line.decode().split()
 
     def expect(self, word: str) -> float:
         found = self.read()
@@ -317,10 +323,10 @@ class Child:
         self.write("next")
         if outcome == "done":
             # Either the call ended just before the signal arrived, or it caught the exception and went on.
-            ready, *_ = select.select([self.process.stdout], [], [], 2.0)
-            if not ready:
+            late = self.read(within=2.0)
+            if not late:
                 return "ignored", float(at) - start, math.inf
-            outcome = self.read()[0]
+            outcome = late[0]
         return outcome, float(at) - start, float(at) - sent
 
     def close(self) -> None:
@@ -335,10 +341,10 @@ def measure(name: str, moments: int, repeat: int, longest: float) -> dict[str, o
     try:
         child.write("first")
         start = child.expect("start")
-        ready, *_ = select.select([child.process.stdout], [], [], longest)
+        first = child.read(within=longest)
         worst, worst_at = 0.0, 0.0
-        if ready:
-            outcome, at = child.read()
+        if first:
+            outcome, at = first
             lasted = float(at) - start
             if outcome != "done":
                 raise RuntimeError(f"{name}: {outcome}")
