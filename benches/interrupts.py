@@ -221,7 +221,7 @@ CALLS: dict[str, tuple[str, str]] = {
         "a, b = fb.Mesh(*ball(400)), fb.Mesh(*ball(400)); p = np.eye(4) + 1.9 * np.eye(4, k=3)",
         "fb.clearance(a, b, pose_b=p)",
     ),
-    "slices": ("m = fb.Mesh(*ball(100))", "list(fb.slices(m, 0.002, pixel=0.002))"),
+    "slices": ("m = fb.Mesh(*ball(100))", "fb.slices(m, 0.002, pixel=0.002)"),
     "sample_edges": ("m = fb.box(1).to_mesh(4)", "fb.sample_edges(m, 20_000_000)"),
     "PointCloud, areas": (
         "p = fb.sample_surface(fb.Mesh(*ball(100)), 1_000_000)",

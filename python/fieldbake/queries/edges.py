@@ -16,6 +16,9 @@ from ..meshes.mesh import Mesh
 from .common import source_faces
 from .sampling import MOST_SAMPLES, SurfaceSamples
 
+#: Number of points that are drawn at once.
+BATCH = 1 << 18
+
 
 @dataclass(frozen=True)
 class Edges:
@@ -157,14 +160,19 @@ def sample_edges(
             )
         ends = positions[edges.vertices]
         # The places have a generator of their own, since the samples of the surface use the seed too.
-        rows, along = along_edges(
-            np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), count, np.random.default_rng([start, 2])
-        )
-        points = ends[rows, 0] + along[:, None] * (ends[rows, 1] - ends[rows, 0])
-        weights = np.zeros((count, 3))
-        each = np.arange(count)
-        weights[each, edges.corners[rows]] = 1 - along
-        weights[each, (edges.corners[rows] + 1) % 3] = along
-        if callback is not None:
-            callback(1.0)
-    return SurfaceSamples(points, edges.normals[rows], source_faces(mesh, checked, edges.faces[rows]), weights)
+        random = np.random.default_rng([start, 2])
+        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        points, normals, weights = (np.zeros((count, 3)) for _ in range(3))
+        faces = np.zeros(count, edges.faces.dtype)
+        # Ctrl-C ends the work between two batches.
+        for first in range(0, count, BATCH):
+            part = slice(first, min(first + BATCH, count))
+            rows, along = along_edges(lengths, part.stop - first, random)
+            points[part] = ends[rows, 0] + along[:, None] * (ends[rows, 1] - ends[rows, 0])
+            normals[part], faces[part] = edges.normals[rows], edges.faces[rows]
+            each = np.arange(first, part.stop)
+            weights[each, edges.corners[rows]] = 1 - along
+            weights[each, (edges.corners[rows] + 1) % 3] = along
+            if callback is not None:
+                callback(part.stop / count)
+    return SurfaceSamples(points, normals, source_faces(mesh, checked, faces), weights)
