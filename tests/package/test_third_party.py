@@ -126,3 +126,17 @@ def test_a_wheel_without_licences_is_found(tmp_path: Path) -> None:
         archive.writestr("fieldbake/_core.abi3.so", REMAPPED)
 
     assert len(script("check_wheel").faults(tmp_path / "fieldbake.whl")) == 4
+
+
+@pytest.mark.parametrize(("ending", "count"), [("/x.py", 1), ("", 1), ("s.py", 0)])
+def test_the_folder_of_the_build_is_found_and_a_longer_name_is_not(
+    ending: str, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("HOME", "USERPROFILE"):  # a folder that does not contain the repository
+        monkeypatch.setenv(name, str(tmp_path / "home"))
+    with ZipFile(tmp_path / "fieldbake.whl", "w") as archive:
+        archive.writestr("fieldbake-1.dist-info/RECORD", f"{ROOT}{ending}\n")
+
+    faults = script("check_wheel").faults(tmp_path / "fieldbake.whl")
+
+    assert len([fault for fault in faults if "RECORD" in fault]) == count
