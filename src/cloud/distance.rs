@@ -36,9 +36,17 @@ impl Disks {
 impl PointCloud {
     /// The nearest disk to a local point. `bound` is at least its distance; infinity is valid.
     pub fn nearest(&self, p: DVec3, bound: f64) -> NearestDisk {
-        let found = self.nearest_within(p, bound);
-        // A bound that is too small leaves no candidate.
-        found.or_else(|| self.nearest_within(p, f64::INFINITY)).expect("a cloud has a point")
+        self.nearest_within(p, bound).unwrap_or_else(|| {
+            // A bound that is too small leaves no candidate. Any disk is one, and its distance is a bound.
+            let first = self.first_disk(p);
+            self.nearest_within(p, first.distance).unwrap_or(first)
+        })
+    }
+
+    /// The first disk of the tree as a candidate.
+    fn first_disk(&self, p: DVec3) -> NearestDisk {
+        let point = self.disks[0].nearest_point(0, p);
+        NearestDisk { row: self.bvh.packs[0].face(0), distance: point.distance(p), point }
     }
 
     fn nearest_within(&self, p: DVec3, bound: f64) -> Option<NearestDisk> {
