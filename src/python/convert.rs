@@ -142,3 +142,28 @@ macro_rules! with_texels {
     }};
 }
 pub(super) use with_texels;
+
+/// Evaluates `$body` with `$texel` as the type of the samples in an encoding.
+macro_rules! with_encoding {
+    ($encoding:expr, $texel:ident => $body:expr) => {
+        match $encoding {
+            crate::encoding::Encoding::Float32 => {
+                type $texel = f32;
+                $body
+            }
+            crate::encoding::Encoding::Float16 => {
+                type $texel = half::f16;
+                $body
+            }
+            crate::encoding::Encoding::Snorm16 => {
+                type $texel = i16;
+                $body
+            }
+            crate::encoding::Encoding::Snorm8 => {
+                type $texel = i8;
+                $body
+            }
+        }
+    };
+}
+pub(super) use with_encoding;

@@ -2,7 +2,7 @@
 
 use super::bake::report_dict;
 use super::cloud::PointCloud;
-use super::convert::{Field, grid, points, row_array, volume_array, with_texels};
+use super::convert::{Field, grid, points, row_array, volume_array, with_encoding, with_texels};
 use super::error::{Failure, exception};
 use super::mesh::Mesh;
 use super::run::run;
@@ -256,18 +256,10 @@ pub(super) fn bake_sparse<'py>(
     let sparse = SparseOptions { band, tolerance };
     let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
     let (field, report) = run(py, progress, |progress| {
-        macro_rules! baked {
-            ($texel:ty) => {{
-                let (field, report) = bake::<$texel>(&mesh, &grid, &options, &sparse, progress)?;
-                Ok((Stored::any(field), report))
-            }};
-        }
-        match encoding {
-            Encoding::Float32 => baked!(f32),
-            Encoding::Float16 => baked!(f16),
-            Encoding::Snorm16 => baked!(i16),
-            Encoding::Snorm8 => baked!(i8),
-        }
+        with_encoding!(encoding, T => {
+            let (field, report) = bake::<T>(&mesh, &grid, &options, &sparse, progress)?;
+            Ok((Stored::any(field), report))
+        })
     })?;
     Ok((SparseField(field), report_dict(py, &report)?))
 }
@@ -293,18 +285,10 @@ pub(super) fn bake_cloud_sparse<'py>(
     let sparse = SparseOptions { band, tolerance };
     let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
     let (field, counts) = run(py, progress, |progress| {
-        macro_rules! baked {
-            ($texel:ty) => {{
-                let (field, counts) = bake_cloud::<$texel>(&cloud, &grid, signed, &sparse, progress)?;
-                Ok((Stored::any(field), counts))
-            }};
-        }
-        match encoding {
-            Encoding::Float32 => baked!(f32),
-            Encoding::Float16 => baked!(f16),
-            Encoding::Snorm16 => baked!(i16),
-            Encoding::Snorm8 => baked!(i8),
-        }
+        with_encoding!(encoding, T => {
+            let (field, counts) = bake_cloud::<T>(&cloud, &grid, signed, &sparse, progress)?;
+            Ok((Stored::any(field), counts))
+        })
     })?;
     Ok((SparseField(field), counts.inside, counts.undecided))
 }
@@ -335,12 +319,7 @@ pub(super) fn to_sparse<'py>(
         let field = Field::encoded(&array, lower, upper, scale)?;
         run(py, progress, |progress| {
             let view = field.view()?;
-            Ok(match encoding {
-                Encoding::Float32 => Any::Float32(view.to_sparse(inner, &sparse, progress)?),
-                Encoding::Float16 => Any::Float16(view.to_sparse(inner, &sparse, progress)?),
-                Encoding::Snorm16 => Any::Snorm16(view.to_sparse(inner, &sparse, progress)?),
-                Encoding::Snorm8 => Any::Snorm8(view.to_sparse(inner, &sparse, progress)?),
-            })
+            with_encoding!(encoding, T => Ok(Stored::any(view.to_sparse::<T>(inner, &sparse, progress)?)))
         })?
     });
     Ok(SparseField(field))
@@ -369,19 +348,10 @@ pub(super) fn encode<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let samples = distances.as_slice().map_err(|error| exception(py, "ArgumentError", error.to_string()))?;
     let [x, y, z] = std::array::from_fn(|axis| distances.shape()[axis]);
-    macro_rules! encoded {
-        ($texel:ty) => {{
-            let texels: Vec<$texel> =
-                run(py, None, |progress| convert(samples, progress, |d| Texel::encode(d, scale)))?;
-            Ok(texels.into_pyarray(py).reshape([z, y, x])?.permute(Some([2, 1, 0]))?.into_any())
-        }};
-    }
-    match Encoding::from_name(encoding).map_err(Failure::from)? {
-        Encoding::Float32 => encoded!(f32),
-        Encoding::Float16 => encoded!(f16),
-        Encoding::Snorm16 => encoded!(i16),
-        Encoding::Snorm8 => encoded!(i8),
-    }
+    with_encoding!(Encoding::from_name(encoding).map_err(Failure::from)?, T => {
+        let texels: Vec<T> = run(py, None, |progress| convert(samples, progress, |d| Texel::encode(d, scale)))?;
+        Ok(texels.into_pyarray(py).reshape([z, y, x])?.permute(Some([2, 1, 0]))?.into_any())
+    })
 }
 
 /// Decodes the result of [`encode`].

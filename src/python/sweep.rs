@@ -1,7 +1,7 @@
 //! `fieldbake._core.Sweep`.
 
 use super::assembly::Bodies;
-use super::convert::grid;
+use super::convert::{grid, with_encoding};
 use super::error::{Failure, exception};
 use super::run::run;
 use super::sparse::{SparseField, Stored};
@@ -11,7 +11,6 @@ use crate::error::Error;
 use crate::sweep::motion::{Chain, JointKind};
 use crate::sweep::{self as core, SweepOptions};
 use glam::DVec3;
-use half::f16;
 use numpy::{PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
@@ -100,18 +99,10 @@ impl Sweep {
         let options = SweepOptions { offset, tolerance, band };
         let encoding = Encoding::from_name(encoding).map_err(Failure::from)?;
         let (field, cost) = run(py, progress, |progress| {
-            macro_rules! swept {
-                ($texel:ty) => {{
-                    let (field, cost) = self.0.bake::<$texel>(&grid, &options, progress)?;
-                    Ok::<_, Error>((Stored::any(field), cost))
-                }};
-            }
-            match encoding {
-                Encoding::Float32 => swept!(f32),
-                Encoding::Float16 => swept!(f16),
-                Encoding::Snorm16 => swept!(i16),
-                Encoding::Snorm8 => swept!(i8),
-            }
+            with_encoding!(encoding, T => {
+                let (field, cost) = self.0.bake::<T>(&grid, &options, progress)?;
+                Ok::<_, Error>((Stored::any(field), cost))
+            })
         })?;
         Ok((SparseField(field), cost.samples, cost.evaluations))
     }
