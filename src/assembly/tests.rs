@@ -38,7 +38,7 @@ fn cube_distance(p: DVec3) -> f64 {
 }
 
 /// Distances and elements in the order of configurations and points.
-fn answers(bodies: &Bodies, request: &Request<'_>) -> (Vec<f64>, Vec<i64>) {
+fn distances_and_elements(bodies: &Bodies, request: &Request<'_>) -> (Vec<f64>, Vec<i64>) {
     let found = nearest(bodies, request, |found| found, &Progress::new()).unwrap();
     (found.column(|row| row.distance).unwrap(), found.column(|row| row.element).unwrap())
 }
@@ -82,7 +82,7 @@ fn the_smallest_distance_is_that_of_the_closed_forms() {
         (0..7 * 7 * 7).map(|i| [i % 7, i / 7 % 7, i / 49].map(|step| f64::from(step) * 1.25 - 3.1)).collect();
     let request = Request { poses: &poses, configurations: 2, points: &points, is_paired: false, searched: &[true; 2] };
 
-    let (distances, elements) = answers(&bodies, &request);
+    let (distances, elements) = distances_and_elements(&bodies, &request);
 
     for (row, (&distance, &element)) in distances.iter().zip(&elements).enumerate() {
         let p = DVec3::from_array(points[row % points.len()]);
@@ -105,7 +105,7 @@ fn paired_points_belong_to_one_configuration_each() {
     let points = [[3.0, 0.0, 0.0], [0.0, 0.5, 0.0], [3.0, 0.0, 0.0], [10.0, 0.5, 0.0]];
     let request = Request { poses: &poses, configurations: 2, points: &points, is_paired: true, searched: &[true] };
 
-    assert_eq!(answers(&bodies, &request).0, [2.0, -0.5, 6.0, -0.5]);
+    assert_eq!(distances_and_elements(&bodies, &request).0, [2.0, -0.5, 6.0, -0.5]);
 }
 
 #[test]
@@ -118,7 +118,7 @@ fn bodies_that_are_not_searched_have_no_distance() {
         let poses = [IDENTITY; 2];
         let request =
             Request { poses: &poses, configurations: 1, points: &points, is_paired: false, searched: &searched };
-        let (distances, elements) = answers(&bodies, &request);
+        let (distances, elements) = distances_and_elements(&bodies, &request);
         (distances[0], elements[0])
     };
 

@@ -93,12 +93,12 @@ fn distinct_areas(points: &[[f64; 3]], progress: &Progress) -> Result<Vec<f64>, 
 
 /// The index of the distinct position of each point, and the distinct positions.
 pub(super) fn first_rows(points: &[[f64; 3]]) -> (Vec<u32>, Vec<[f64; 3]>) {
-    let mut seen: FxHashMap<[u64; 3], u32> = FxHashMap::default();
+    let mut index_of: FxHashMap<[u64; 3], u32> = FxHashMap::default();
     let mut distinct = Vec::new();
     let firsts = points.iter().map(|&p| {
         // The sum turns -0 into 0.
         let key = (DVec3::from_array(p) + DVec3::ZERO).to_array().map(f64::to_bits);
-        *seen.entry(key).or_insert_with(|| {
+        *index_of.entry(key).or_insert_with(|| {
             distinct.push(p);
             distinct.len() as u32 - 1
         })

@@ -39,7 +39,7 @@ use std::ops::Range;
 const FIRST_LIMIT: f64 = 0.3;
 /// A limit is at most this share of the limit of the pass before.
 const MOST_KEPT: f64 = 0.7;
-/// The next limit, as a share of the one whose expected error is the largest one wanted.
+/// The next limit, as a share of the one whose expected error is the largest one allowed.
 const LIMIT_MARGIN: f64 = 0.85;
 /// A pass takes as long as the sum over this many points for each unit of 1 / limit^2.
 const POINTS_OF_PASS: f64 = 50.0;
@@ -140,11 +140,11 @@ impl PointCloud {
         let mut limit = FIRST_LIMIT;
         while POINTS_OF_PASS < limit * limit * (WIDTH * self.disks.len()) as f64 {
             let (w, error) = self.pass(p, limit as f32);
-            let wanted = most(w);
-            if error <= wanted {
+            let allowed = most(w);
+            if error <= allowed {
                 return w;
             }
-            limit *= (LIMIT_MARGIN * (wanted / error).sqrt()).min(MOST_KEPT);
+            limit *= (LIMIT_MARGIN * (allowed / error).sqrt()).min(MOST_KEPT);
         }
         self.exact_winding(p)
     }

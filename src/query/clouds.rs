@@ -12,7 +12,7 @@ use rayon::prelude::*;
 /// The nearest points of a cloud, and the sides, one entry for each position.
 #[derive(Debug, Default)]
 pub struct CloudQuery {
-    /// World units; negative inside if sides were wanted.
+    /// World units; negative inside if sides were requested.
     pub distances: Vec<f64>,
     /// Nearest points of the disks, world positions.
     pub points: Vec<[f64; 3]>,

@@ -232,8 +232,8 @@ class JointedBodies:
                 result[i] = self._roots.get(name, np.eye(4))
         for name, pose in given.items():
             if name not in self._rows or self._tree.parents[self._rows[name]] >= 0:
-                known = [other for other, i in self._rows.items() if self._tree.parents[i] < 0]
-                raise ArgumentError(f"roots: {name!r} is no body without a parent; these are {known}")
+                names = [other for other, i in self._rows.items() if self._tree.parents[i] < 0]
+                raise ArgumentError(f"roots: {name!r} is no body without a parent; these are {names}")
             array = checks.as_float64(checks.real_array(f"roots[{name!r}]", pose, "(..., 4, 4)"))
             try:
                 if array.shape[-2:] != (4, 4):

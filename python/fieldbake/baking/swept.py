@@ -249,10 +249,10 @@ def _grid(
 
 def _poses(name: str, motion: ArrayLike, tail: tuple[int, ...]) -> NDArray[np.float64]:
     """Check rows of poses (t, *tail), and return them as (k, 4, 4)."""
-    wanted = f"(t, {', '.join(map(str, tail))})"
-    array = checks.real_array(name, motion, wanted)
+    shape = f"(t, {', '.join(map(str, tail))})"
+    array = checks.real_array(name, motion, shape)
     if array.ndim != len(tail) + 1 or array.shape[1:] != tail or len(array) == 0:
-        raise ArgumentError(f"{name}: must have shape {wanted} with at least one row, got {checks.describe(array)}")
+        raise ArgumentError(f"{name}: must have shape {shape} with at least one row, got {checks.describe(array)}")
     poses = checks.as_float64(array)
     check_rigid(name, poses)
     return np.ascontiguousarray(poses.reshape(-1, 4, 4))

@@ -277,8 +277,8 @@ class PointCloud:
         Parameters
         ----------
         viewpoints : (3,) or (n, 3) real, optional
-            Position of the scanner, or of the camera that saw each point. The normal points to it. Give viewpoints
-            where they are known, because they are exact.
+            Position of the scanner, or of the camera that saw each point. The normal points to it. Viewpoints of
+            a scan make the sides exact.
         neighbours : int, default 12
             Number of nearest neighbours that determine the line of a normal, from 4 to 64.
         progress : bool or callable, optional

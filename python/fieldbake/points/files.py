@@ -42,7 +42,7 @@ def load_points(path: str | os.PathLike[str], *, opacity: float = 0.5) -> PointC
     Returns
     -------
     PointCloud
-        A cloud with the positions of the file in float64. The normals of splats have no known side: use
+        A cloud with the positions of the file in float64. The normals of splats have no side: use
         :meth:`PointCloud.oriented`.
 
     Raises

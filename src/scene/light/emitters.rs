@@ -134,11 +134,11 @@ impl LampBox {
             };
             let height = (p - corner).dot(area);
             let middle = corner + 0.5 * (self.edges[(k + 1) % 3] + self.edges[(k + 2) % 3]);
-            let seen = height / (middle - p).length().powi(3);
-            (corner, area, if height > 0.0 { seen.min(2.0 * PI) } else { 0.0 })
+            let angle = height / (middle - p).length().powi(3);
+            (corner, area, if height > 0.0 { angle.min(2.0 * PI) } else { 0.0 })
         });
-        let total: f64 = sides.iter().map(|(.., seen)| seen).sum();
-        sides.iter_mut().for_each(|(.., seen)| *seen /= total);
+        let total: f64 = sides.iter().map(|(.., angle)| angle).sum();
+        sides.iter_mut().for_each(|(.., angle)| *angle /= total);
         (total > 0.0 && total.is_finite()).then_some(FacingSides { of: self, sides })
     }
 }
@@ -160,12 +160,12 @@ impl FacingSides<'_> {
     /// Density of a unit direction from the place that enters the box, per steradian.
     fn density(&self, p: DVec3, direction: DVec3) -> f64 {
         // The ray enters through the last of the planes that it crosses from outside.
-        let enter = |(corner, area, share): &(DVec3, DVec3, f64)| {
+        let crossing = |(corner, area, share): &(DVec3, DVec3, f64)| {
             let toward = -area.dot(direction);
             let t = (p - *corner).dot(*area) / toward;
             (*share > 0.0 && toward > 0.0).then(|| (t, share * t * t / toward))
         };
-        self.sides.iter().filter_map(enter).max_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |(_, density)| density)
+        self.sides.iter().filter_map(crossing).max_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |(_, density)| density)
     }
 }
 

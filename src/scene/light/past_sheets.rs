@@ -62,8 +62,8 @@ impl Scene {
         if self.sheets.is_empty() {
             return 1.0;
         }
-        let met = self.sheets.near(&self.instances, place, ray, slope);
-        if met.is_empty() { 1.0 } else { self.cone_past(&met, place, ray, slope, work) }
+        let sheets = self.sheets.near(&self.instances, place, ray, slope);
+        if sheets.is_empty() { 1.0 } else { self.cone_past(&sheets, place, ray, slope, work) }
     }
 
     /// Fraction of each of the [`PARTS`] of a light's disc that passes the sheets: angular radius `slope`, `ray` to its
@@ -79,15 +79,15 @@ impl Scene {
         if self.sheets.is_empty() {
             return parts;
         }
-        let met = self.sheets.near(&self.instances, place, ray, slope);
-        if met.is_empty() {
+        let sheets = self.sheets.near(&self.instances, place, ray, slope);
+        if sheets.is_empty() {
             return parts;
         }
         let axes = basis(ray.direction);
         let rim = (0..RIM_RAYS).map(|i| Vec2::from_angle(i as f32 * (std::f32::consts::TAU / RIM_RAYS as f32)));
         let inside = (0..PROBE_RAYS).map(|i| disc_point(i, PROBE_RAYS, 0.0));
         let mut probes =
-            rim.chain(inside).map(|point| self.ray_past(&met, place, &toward(ray, axes, slope, point), work));
+            rim.chain(inside).map(|point| self.ray_past(&sheets, place, &toward(ray, axes, slope, point), work));
         let first = probes.next().unwrap_or(1.0);
         if (first == 0.0 || first == 1.0) && probes.all(|share| share == first) {
             return [first; PARTS as usize];
@@ -95,20 +95,20 @@ impl Scene {
         let part_slope = slope / (PARTS as f32).sqrt();
         for (i, part) in parts.iter_mut().enumerate() {
             let to_part = toward(ray, axes, slope, disc_point(i as u32, PARTS, 0.0));
-            *part = self.cone_past(&met, place, &to_part, part_slope, work);
+            *part = self.cone_past(&sheets, place, &to_part, part_slope, work);
         }
         parts
     }
 
-    fn cone_past(&self, met: &[u32], place: &SurfacePoint, ray: &LightRay, slope: f32, work: &mut LightWork) -> f32 {
+    fn cone_past(&self, sheets: &[u32], place: &SurfacePoint, ray: &LightRay, slope: f32, work: &mut LightWork) -> f32 {
         let axes = basis(ray.direction);
         let to = |i: u32| toward(ray, axes, slope, disc_point(i, CONE_RAYS, 0.0));
-        (0..CONE_RAYS).map(|i| self.ray_past(met, place, &to(i), work)).sum::<f32>() / CONE_RAYS as f32
+        (0..CONE_RAYS).map(|i| self.ray_past(sheets, place, &to(i), work)).sum::<f32>() / CONE_RAYS as f32
     }
 
-    fn ray_past(&self, met: &[u32], place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
+    fn ray_past(&self, sheets: &[u32], place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
         let mut share = 1.0;
-        for &item in met {
+        for &item in sheets {
             let Some(triangles) = self.instances[item as usize].casting_triangles() else { continue };
             work.steps += 1;
             share *= self.past_mesh(item, triangles, place, ray, [0.0, ray.t_max]);
