@@ -300,6 +300,7 @@ def test_an_open_mesh_is_swept_as_a_sheet():
     with pytest.raises(fb.MeshError, match="the mesh is open, so it is no solid that can be swept; close it by"):
         fb.sweep(sheet, [pose(), pose((0, 0, 1))])
     swept = fb.sweep(sheet, [pose(), pose((0, 0, 1))], 40, sign="unsigned")
+    assert (swept.report.sign_method, swept.report.sign_reason) == ("unsigned", "chosen by the caller")
     points = sheet.vertices[:, None] + np.linspace(0, 1, 20)[:, None] * (0, 0, 1)
     assert_contained(swept, swept.to_mesh(sharp=False), points.reshape(-1, 3))
     with pytest.raises(fb.ArgumentError, match='contain: must be True with sign="unsigned"'):

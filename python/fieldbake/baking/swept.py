@@ -20,7 +20,7 @@ from ..base.errors import ArgumentError, ShapeError
 from ..base.grid import Grid, Resolution, check_count, make_grid
 from ..base.notices import warn_surface
 from ..base.progress import Progress, progress_callback
-from ..base.report import Report, bytes_text, seconds_text
+from ..base.report import MIXED_SIGN_REASON, Report, bytes_text, seconds_text
 from ..meshes.convert import MeshLike
 from ..shapes.shape import MESH_RESOLUTION, Shape, all_shapes, combine
 from ..volumes.sparse import SparseVolume, sparse_options
@@ -199,7 +199,7 @@ def sweep(
         )
     report = SweepReport(
         sign_method="unsigned" if is_unsigned else "winding",
-        sign_reason="the winding number of meshes, and the sign of exact shapes",
+        sign_reason="chosen by the caller" if is_unsigned else MIXED_SIGN_REASON,
         closed=True,
         device="cpu",
         seconds={"sweep": perf_counter() - start},
