@@ -16,7 +16,7 @@ from ..base import checks
 from ..base.errors import ArgumentError
 from ..base.notices import warn_surface
 from ..base.progress import Progress, progress_callback
-from ..base.report import Report
+from ..base.report import MIXED_SIGN_REASON, Report
 from ..meshes.mesh import Mesh
 from ..shapes.shape import MESH_RESOLUTION, Shape
 from .clearances import of_pairs, with_environment
@@ -239,7 +239,7 @@ class Assembly(JointedBodies):
         warnings = self._surface_warnings(searched)
         report = Report(
             sign_method="winding",
-            sign_reason="the winding number of meshes, and the sign of exact shapes",
+            sign_reason=MIXED_SIGN_REASON,
             points=len(distances),
             inside_points=int((distances < 0).sum()),
             device="cpu",

@@ -14,7 +14,7 @@ from ..base import checks
 from ..base.errors import ArgumentError
 from ..base.notices import warn_surface
 from ..base.progress import Progress, progress_callback
-from ..base.report import Report
+from ..base.report import MIXED_SIGN_REASON, Report
 from ..meshes.mesh import Mesh
 from ..shapes.shape import MESH_RESOLUTION, Shape
 from .geometry import BodyLike, elements_of, rigid
@@ -126,7 +126,7 @@ def of_pairs(
     shape = (*poses.shape[:-3], len(pairs))
     report = Report(
         sign_method="winding",
-        sign_reason="the winding number of meshes, and the sign of exact shapes",
+        sign_reason=MIXED_SIGN_REASON,
         points=len(distances),
         inside_points=int((distances < 0).sum()),
         device="cpu",

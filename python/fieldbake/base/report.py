@@ -45,6 +45,10 @@ class Rows(ABC):
         return f'<table style="text-align:left">{rows}</table>'
 
 
+#: Reason of the sign where meshes and shapes are searched together.
+MIXED_SIGN_REASON = "the winding number of meshes, and the sign of exact shapes"
+
+
 @dataclass(frozen=True)
 class Report(Rows):
     """Properties of the surface and cost of the work. `print` shows all of them as text.

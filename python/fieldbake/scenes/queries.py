@@ -15,7 +15,7 @@ from ..base import checks
 from ..base.errors import ArgumentError, SceneError
 from ..base.notices import warn_surface
 from ..base.progress import Progress, progress_callback
-from ..base.report import Report
+from ..base.report import MIXED_SIGN_REASON, Report
 from ..meshes.mesh import Mesh
 from ..queries.nearest import Query
 from ..shapes.shape import MESH_RESOLUTION, Shape
@@ -73,7 +73,7 @@ class SceneGeometry:
         warn_surface(warnings)
         report = Report(
             sign_method="winding",
-            sign_reason="the winding number of meshes, and the sign of exact shapes",
+            sign_reason=MIXED_SIGN_REASON,
             closed=all(mesh.topology()["closed"] for mesh in meshes.values()),
             faces=sum(len(mesh.faces) for mesh in meshes.values()),
             vertices=sum(len(mesh.vertices) for mesh in meshes.values()),
