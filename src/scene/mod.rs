@@ -4,9 +4,10 @@
 //!
 //! A picture is made in two passes that communicate by a G-buffer. The *primary* pass ([`visibility::primary`]) finds
 //! the visible surfaces of each pixel: triangles exactly, as a rasteriser would at pixel centres, or the root of a
-//! field. The *light* pass ([`lighting`]) evaluates the scene's distance fields ([`fields`], [`light::shadow`]): the
-//! fraction of each light that arrives, the open part of the hemisphere, and the length of material behind the surface.
-//! Both search a tree over the boxes of the instances ([`content::tree`]).
+//! field. The *light* pass ([`lighting`]) traces thin rays past the triangles of meshes, and everything else through
+//! the scene's distance fields ([`fields`], [`light::shadow`]): the fraction of each light that arrives, the open part
+//! of the hemisphere, and the length of material behind the surface. Both search a tree over the boxes of the
+//! instances ([`content::tree`]).
 //!
 //! Spaces: *world*, the user's; *scene*, `(world - center) / scale` with a power of two, where the scene spans about 1
 //! and float32 is accurate; *local*, the coordinates of the object of an instance; *field*, see [`fields::field`].

@@ -1,4 +1,4 @@
-"""Pictures of scenes: the primary pass, then the light pass through the distance fields.
+"""Pictures of scenes: the primary pass, then the light pass past triangles and through distance fields.
 
 Each option of a picture is one row of :class:`Options`, from which the signatures of :func:`render` and
 :class:`fieldbake.Renderer`, the options of the command line and the arguments of the core follow.
@@ -227,7 +227,7 @@ def takes_options(function: _Function) -> _Function:
 @former_names(method=METHOD)
 @takes_options
 def render(scene: Any, camera: Camera | None = None, **options: Unpack[RenderOptions]) -> Frame:
-    """Draw a scene: find the visible surfaces, then light them through the distance fields.
+    """Draw a scene: find the visible surfaces, then light them past triangles and through distance fields.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-//! Light at a point: rays and cones through the fields of a scene, occlusion, and indirect light.
+//! Light at a point: rays past triangles, rays and cones through fields, occlusion, and indirect light.
 
 pub(crate) mod bounces;
 pub(crate) mod cone;

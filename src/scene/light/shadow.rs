@@ -1,4 +1,5 @@
-//! The fraction of a light that arrives: rays and cones through the distance fields of a scene.
+//! The fraction of a light that arrives: rays past the triangles of meshes and through other fields, cones through all
+//! fields of a scene.
 //!
 //! # Theory
 //!
