@@ -870,7 +870,7 @@ def raymarch_nested(
 
 @final
 class SceneField:
-    """Distances prepared for the rays of a scene; a copy, divided by its slope if it is clamped and far above 1."""
+    """Distances prepared for the rays of a scene: a copy, divided by `divisor`; None means its own divisor."""
 
     def __new__(
         cls,
@@ -879,8 +879,11 @@ class SceneField:
         upper: tuple[float, float, float],
         inner_lower: tuple[float, float, float],
         inner_upper: tuple[float, float, float],
-        clamped: bool,
+        divisor: float | None,
     ) -> SceneField: ...
+    @property
+    def divisor(self) -> float:
+        """The slope of the samples if it is far above the slope of a distance, else 1."""
     @staticmethod
     def nested(levels: list[SceneField]) -> SceneField:
         """Nested fields as one field, finest first."""

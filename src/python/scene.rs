@@ -23,6 +23,7 @@ use crate::scene::fields::field::{DenseField, SampledField};
 use crate::scene::fields::nested::NestedField;
 use crate::scene::fields::quadric::QuadricField;
 use crate::scene::fields::shape::ShapeField;
+use crate::scene::fields::slope;
 use crate::scene::fields::sparse::SparseBricks;
 use crate::volume::Trilinear;
 use glam::{DAffine3, DMat4, DVec3, Mat4, Vec2, Vec4};
@@ -35,7 +36,17 @@ use std::sync::atomic::Ordering::Relaxed;
 
 /// Distances prepared for the rays of a scene.
 #[pyclass(frozen, module = "fieldbake._core")]
-pub struct SceneField(Arc<dyn scene::fields::field::Field>);
+pub struct SceneField {
+    field: Arc<dyn scene::fields::field::Field>,
+    /// The number by which the samples were divided, or would be divided if the caller had not chosen the divisor.
+    divisor: f64,
+}
+
+impl SceneField {
+    fn distance(field: impl scene::fields::field::Field + 'static) -> Self {
+        Self { field: Arc::new(field), divisor: 1.0 }
+    }
+}
 
 #[pymethods]
 impl SceneField {
@@ -47,33 +58,45 @@ impl SceneField {
         upper: [f64; 3],
         inner_lower: [f64; 3],
         inner_upper: [f64; 3],
-        clamped: bool,
+        divisor: Option<f64>,
     ) -> PyResult<Self> {
         let field = Field::new(&distances, lower, upper)?;
         let inner = [DVec3::from_array(inner_lower), DVec3::from_array(inner_upper)];
-        let made = run(py, None, |progress| {
+        let (made, divisor) = run(py, None, |progress| {
             let view = field.view()?;
             let dense = DenseField::new(*view.grid(), view.distances().to_vec())?;
-            SampledField::new(if clamped { dense.clamped() } else { dense }, inner, progress)
+            let own = slope::divisor(dense.slope());
+            Ok((SampledField::new(dense.divided(divisor.unwrap_or(own)), inner, progress)?, own))
         })?;
-        Ok(Self(Arc::new(made)))
+        Ok(Self { field: Arc::new(made), divisor })
+    }
+
+    /// The slope of the samples if it is far above the slope of a distance, else 1.
+    #[getter]
+    fn divisor(&self) -> f64 {
+        self.divisor
     }
 
     /// Nested fields as one field, finest first.
     #[staticmethod]
     fn nested(levels: Vec<Py<SceneField>>) -> PyResult<Self> {
-        let levels = levels.iter().map(|level| level.get().0.clone()).collect();
-        Ok(Self(Arc::new(NestedField::new(levels).map_err(Failure::from)?)))
+        let levels = levels.iter().map(|level| level.get().field.clone()).collect();
+        Ok(Self::distance(NestedField::new(levels).map_err(Failure::from)?))
     }
 
     /// The bricks of a sparse field, decoded.
     #[staticmethod]
     fn sparse(py: Python<'_>, field: &SparseField, inner_lower: [f64; 3], inner_upper: [f64; 3]) -> PyResult<Self> {
         let inner = [DVec3::from_array(inner_lower), DVec3::from_array(inner_upper)];
-        let made = run(py, None, |progress| {
-            SampledField::new(SparseBricks::new(field.decoded(), progress)?, inner, progress)
+        let (made, divisor) = run(py, None, |progress| {
+            let mut decoded = field.decoded();
+            let divisor = slope::divisor(slope::largest_slope_of_bricks(&decoded));
+            slope::divide(&mut decoded.texels, divisor);
+            slope::divide(&mut decoded.nodes, divisor);
+            decoded.band = (f64::from(decoded.band) / divisor) as f32;
+            Ok((SampledField::new(SparseBricks::new(decoded, progress)?, inner, progress)?, divisor))
         })?;
-        Ok(Self(Arc::new(made)))
+        Ok(Self { field: Arc::new(made), divisor })
     }
 
     /// One field for each row of quadrics.
@@ -82,14 +105,14 @@ impl SceneField {
         let quadrics = quadric_rows(&rows)?;
         // All rows are checked at once.
         Quadrics::new(&quadrics).map_err(Failure::from)?;
-        Ok(quadrics.iter().map(|quadric| Self(Arc::new(QuadricField::new(quadric)))).collect())
+        Ok(quadrics.iter().map(|quadric| Self::distance(QuadricField::new(quadric))).collect())
     }
 
     /// A shape, with the parts that rays are traced through.
     #[staticmethod]
     fn shape(py: Python<'_>, shape: &Shape) -> PyResult<Self> {
         let solid = shape.solid(py)?;
-        Ok(Self(Arc::new(run_owned(py, move |_| ShapeField::new(solid))?)))
+        Ok(Self::distance(run_owned(py, move |_| ShapeField::new(solid))?))
     }
 }
 
@@ -178,7 +201,7 @@ impl InstanceRow<'_> {
     fn input(&self) -> PyResult<InstanceInput> {
         Ok(InstanceInput {
             triangles: self.mesh.as_ref().map(|mesh| mesh.get().0.clone()),
-            field: self.field.as_ref().map(|field| field.get().0.clone()),
+            field: self.field.as_ref().map(|field| field.get().field.clone()),
             world_from_local: affine_map(&self.transform.as_array())?,
             first_material: self.first_material,
             opacity: self.opacity,
@@ -332,7 +355,7 @@ impl PictureOptions {
             occlusion: self.ambient_occlusion,
             bounces: (self.bounces > 0).then_some(BounceOptions { count: self.bounces, samples: self.bounce_samples }),
             far: (!self.far.is_empty()).then(|| FarField {
-                levels: self.far.iter().map(|level| level.get().0.clone()).collect(),
+                levels: self.far.iter().map(|level| level.get().field.clone()).collect(),
                 distance: self.far_distance,
             }),
             background,

@@ -25,7 +25,7 @@ def test_the_values_come_back_bit_for_bit(values_of, shape):
     values = values_of(shape)
     name = "float16" if values.itemsize == 2 else "float32"
 
-    texels = _core.exr_read(write_channel(values), shape[1], shape[0], name)
+    texels = _core.exr_read(write_channel(values, {}), shape[1], shape[0], name)
 
     assert bytes(texels) == values.tobytes()
 
@@ -34,7 +34,7 @@ def test_the_values_come_back_bit_for_bit(values_of, shape):
 def test_the_reader_of_openexr_finds_the_values(values_of, shape, tmp_path):
     exr = pytest.importorskip("OpenEXR")
     values = values_of(shape)
-    (tmp_path / "a.exr").write_bytes(write_channel(values))
+    (tmp_path / "a.exr").write_bytes(write_channel(values, {}))
 
     with exr.File(str(tmp_path / "a.exr")) as file:
         found = file.channels()["Y"].pixels
@@ -47,5 +47,5 @@ def test_noise_is_stored_and_runs_are_compressed(random):
     noise = np.frombuffer(random.bytes(4 * 64 * 64), np.float32).reshape(64, 64)
     flat = np.zeros((64, 64), np.float32)
 
-    assert noise.nbytes < len(write_channel(noise)) < noise.nbytes + 1000
-    assert len(write_channel(flat)) < flat.nbytes / 10
+    assert noise.nbytes < len(write_channel(noise, {})) < noise.nbytes + 1000
+    assert len(write_channel(flat, {})) < flat.nbytes / 10

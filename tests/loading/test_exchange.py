@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 import fieldbake as fb
 from damage import damaged, drop_checksum
+from fieldbake.files import exr
+from fieldbake.files.formats import shares
 
 #: Width of a stored step, as a fraction of the scale.
 STEPS = {"snorm16": 32767, "snorm8": 127}
@@ -224,12 +226,12 @@ def test_hostile_nrrd_files(volume, tmp_path, before, after):
 
 @pytest.mark.parametrize("encoding", DTYPES)
 def test_another_reader_finds_the_pages_in_the_exr(baked, encoding, tmp_path):
-    exr = pytest.importorskip("OpenEXR")
+    openexr = pytest.importorskip("OpenEXR")
     atlas = fb.pack(baked * 5, page_size=64, encoding=encoding)
     assert len(atlas.pages) > 1
     atlas.save(tmp_path / "a.exr")
 
-    with exr.File(str(tmp_path / "a.exr")) as file:
+    with openexr.File(str(tmp_path / "a.exr")) as file:
         pixels = file.channels()["Y"].pixels.copy()
 
     assert pixels.dtype == (np.float16 if encoding == "float16" else np.float32)
@@ -411,7 +413,7 @@ def test_an_empty_atlas_has_no_image(tmp_path):
 
 
 def test_a_missing_json_is_named(volume, tmp_path):
-    for name, one in (("v.dds", volume), ("a.exr", fb.pack([volume], page_size=64))):
+    for name, one in (("v.dds", volume), ("a.png", fb.pack([volume], page_size=64, encoding="snorm8"))):
         one.save(tmp_path / name)
         (tmp_path / f"{name}.json").unlink()
         with pytest.raises(fb.FormatError, match=rf"{name}\.json is missing"):
@@ -433,13 +435,25 @@ HOSTILE = {
 }
 
 
+def write_facts(path, atlas, facts):
+    """Write an image of an atlas with other metadata: in the .exr itself, beside the .png."""
+    if path.suffix == ".png":
+        path.with_name("a.png.json").write_text(json.dumps(facts))
+        return
+    texels = atlas.pages.reshape(-1, atlas.page_size)
+    path.write_bytes(exr.write_channel(texels if texels.dtype.kind == "f" else shares(texels), facts))
+
+
 @pytest.mark.parametrize("name", HOSTILE)
 @pytest.mark.parametrize("ending", [".exr", ".png"])
 def test_facts_that_do_not_fit_the_image(baked, name, ending, tmp_path):
     path = tmp_path / f"a{ending}"
-    fb.pack(baked, page_size=64, encoding="snorm8").save(path)
-    beside = tmp_path / f"a{ending}.json"
-    beside.write_text(json.dumps({**json.loads(beside.read_text()), **HOSTILE[name]}))
+    atlas = fb.pack(baked, page_size=64, encoding="snorm8")
+    atlas.save(path)
+    facts = json.loads(path.with_name(f"a{ending}.json").read_text())
+    write_facts(path, atlas, facts)
+    assert np.array_equal(fb.load(path).pages, atlas.pages)
+    write_facts(path, atlas, {**facts, **HOSTILE[name]})
 
     with pytest.raises(fb.FormatError, match=rf"a\{ending}"):
         fb.load(path)
@@ -448,11 +462,11 @@ def test_facts_that_do_not_fit_the_image(baked, name, ending, tmp_path):
 @pytest.mark.parametrize("key", ["page", "corner", "tile", "columns", "gutter", "shape", "model", "scale", "bounds"])
 @pytest.mark.parametrize("value", [None, -1, 2**200, [1e300, 1e300], "x", [[]]])
 def test_bad_facts_of_a_volume(baked, key, value, tmp_path):
-    fb.pack(baked, page_size=64).save(tmp_path / "a.exr")
-    beside = tmp_path / "a.exr.json"
-    facts = json.loads(beside.read_text())
+    atlas = fb.pack(baked, page_size=64)
+    atlas.save(tmp_path / "a.exr")
+    facts = json.loads((tmp_path / "a.exr.json").read_text())
     facts["volumes"][1][key] = value
-    beside.write_text(json.dumps(facts))
+    write_facts(tmp_path / "a.exr", atlas, facts)
 
     with pytest.raises(fb.FormatError):
         fb.load(tmp_path / "a.exr")

@@ -141,14 +141,27 @@ def test_shadows_end_at_the_surface_of_a_field_of_any_values(shadows: str) -> No
     assert np.abs(frames[0].shadow - frames[1].shadow).max() <= 0.02
 
 
-def test_a_steep_field_casts_the_penumbra_of_its_distance() -> None:
-    """A plane of a slope of 3, tilted against all axes, casts the penumbra of its distance."""
-    x, y, z = np.meshgrid(*[(np.arange(64) + 0.5) / 32 - 1] * 3, indexing="ij")
-    tilted = ((x + y + z) / np.sqrt(3)).astype(np.float32)
+def tilted_plane(factor: float, resolution: int, half: float) -> fb.Volume:
+    """A plane, tilted against all axes, whose samples are distances times a factor."""
+    x, y, z = np.meshgrid(*[((np.arange(resolution) + 0.5) / resolution * 2 - 1) * half] * 3, indexing="ij")
+    return fb.Volume(factor * ((x + y + z) / np.sqrt(3)).astype(np.float32), [(-half,) * 3, (half,) * 3])
+
+
+KINDS = {
+    "dense": lambda factor: tilted_plane(factor, 64, 1),
+    "sparse": lambda factor: tilted_plane(factor, 64, 1).to_sparse(band=6 * factor),
+    "sparse snorm8": lambda factor: tilted_plane(factor, 64, 1).to_sparse(band=6 * factor, encoding="snorm8"),
+    "nested": lambda factor: fb.NestedField([tilted_plane(factor, 65, 0.5), tilted_plane(factor, 65, 1)]),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_steep_field_casts_the_penumbra_of_its_distance(kind: str) -> None:
+    """A plane of a slope of 3 casts the penumbra of its distance."""
     camera = fb.Camera((2.0, 5.0, 3.0), (0.9, -1.0, 0.0), fov_deg=40)
     frames = []
     for factor in (1, 3):
-        field = fb.Volume(factor * tilted, [(-1, -1, -1), (1, 1, 1)])
+        field = KINDS[kind](factor)
         scene = fb.Scene([fb.Instance(field), plane(y=-1.2)], lights=[fb.DirectionalLight(SUN, angle_deg=10)])
         frames.append(fb.render(scene, camera, size=(200, 150), device="cpu"))
     penumbra = (frames[0].shadow > 0.1) & (frames[0].shadow < 0.9)

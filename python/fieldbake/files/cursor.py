@@ -42,6 +42,12 @@ class Cursor:
         (value,) = self.unpack(layout)
         return value
 
+    def name(self) -> str:
+        """Return the next text of at most 255 bytes, which ends with a zero byte."""
+        text, end, _ = bytes(self.data[self.at : self.at + 256]).partition(b"\0")
+        self.take(len(text) + 1 if end else 256)
+        return text.decode("utf-8", "replace")
+
     def array(self, count: int, kind: str) -> NDArray[Any]:
         """Return the next `count` numbers as a view of the bytes."""
         return np.frombuffer(self.take(count * np.dtype(kind).itemsize), kind)

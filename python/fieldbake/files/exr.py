@@ -12,6 +12,7 @@ either. Layout: https://openexr.com/en/latest/OpenEXRFileLayout.html.
 
 from __future__ import annotations
 
+import json
 import struct
 import zlib
 from concurrent.futures import ThreadPoolExecutor
@@ -26,6 +27,7 @@ from ..base import checks, encodings
 from ..base.errors import FormatError
 from ..base.threads import thread_count
 from . import flipbook, sidecar
+from .cursor import Cursor
 from .formats import FieldFile, Format, Pages, PagesFile, Texels, shares
 from .pages import pages_of
 from .texture_files import as_texels
@@ -33,12 +35,15 @@ from .texture_files import as_texels
 #: Rows of a block, and the code of the compression with such blocks.
 BLOCK_ROWS, ZIP = 16, 3
 
+#: Name of the attribute that has the metadata as JSON.
+FACTS = "fieldbake"
+
 #: Codes of the types of a channel.
 TYPES = {np.dtype("<f2"): 1, np.dtype("<f4"): 2}
 
 
-def write_channel(values: NDArray[Any]) -> bytes:
-    """Encode float16 or float32 values (height, width) as an .exr file."""
+def write_channel(values: NDArray[Any], facts: dict[str, Any]) -> bytes:
+    """Encode float16 or float32 values (height, width) and the metadata of a field or an atlas as an .exr file."""
     stored = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
     height, width = stored.shape
     window = struct.pack("<4i", 0, 0, width - 1, height - 1)
@@ -49,6 +54,7 @@ def write_channel(values: NDArray[Any]) -> bytes:
         ("compression", "compression", bytes([ZIP])),
         ("dataWindow", "box2i", window),
         ("displayWindow", "box2i", window),
+        (FACTS, "string", json.dumps(facts).encode()),
         ("lineOrder", "lineOrder", b"\0"),
         ("name", "string", b"fieldbake atlas"),
         ("pixelAspectRatio", "float", struct.pack("<f", 1)),
@@ -87,8 +93,9 @@ def _save(file: FieldFile) -> None:
     engine = file.field.way.engine
     columns = 1 if file.options.columns is None and engine == "godot" else file.options.columns
     sheet = flipbook.arrange(file.field.resolution, columns, upwards=engine == "unity")
-    content = write_channel(flipbook.to_pixels(as_texels(file.field.distances, encoding, scale), sheet))
-    with sidecar.write(file.target, {**file.facts(encoding, scale), "sheet": sheet.facts()}) as stream:
+    facts = {**file.facts(encoding, scale), "sheet": sheet.facts()}
+    content = write_channel(flipbook.to_pixels(as_texels(file.field.distances, encoding, scale), sheet), facts)
+    with sidecar.write(file.target, facts) as stream:
         stream.write(content)
     if engine == "unity":
         flipbook.write_unity(file.target, sheet, encoding)
@@ -99,14 +106,21 @@ def _save(file: FieldFile) -> None:
 def _save_pages(file: PagesFile) -> None:
     """Write the pages of an atlas. An .exr stores the value that a sampler returns for a normalised integer."""
     stacked = file.stacked
-    content = write_channel(stacked if stacked.dtype.kind == "f" else shares(stacked))
-    with sidecar.write(file.target, file.header()) as stream:
+    facts = file.header()
+    content = write_channel(stacked if stacked.dtype.kind == "f" else shares(stacked), facts)
+    with sidecar.write(file.target, facts) as stream:
         stream.write(content)
 
 
 def _load(path: Path) -> Texels | Pages:
-    """Read the sheet of a field or the pages of an atlas, as the sidecar states."""
-    content, facts = sidecar.read_both(path)
+    """Read the sheet of a field or the pages of an atlas, as the metadata in the file states.
+
+    A file of version 0.2 has its metadata in the JSON beside it only.
+    """
+    content = path.read_bytes()
+    facts = _facts(content)
+    if facts is None:
+        content, facts = sidecar.read_both(path)
     if facts.get("kind") != "volume texture":
         return pages_of(content, facts, _read_pages)
     sidecar.expect(facts, "volume texture")
@@ -116,6 +130,17 @@ def _load(path: Path) -> Texels | Pages:
     texels = _core.exr_read(content, *sheet.size, encoding)
     pixels = np.frombuffer(bytearray(texels), encodings.DTYPES[encoding])
     return Texels(flipbook.from_pixels(pixels, sheet), encoding, facts)
+
+
+def _facts(content: bytes) -> dict[str, Any] | None:
+    """Parse the metadata in the header of a file; None if it has none."""
+    cursor = Cursor(content, at=len(_MAGIC[0]) + 4)
+    while name := cursor.name():
+        cursor.name()  # the type
+        value = cursor.take(cursor.one("<i"))
+        if name == FACTS:
+            return sidecar.parse(bytes(value))
+    return None
 
 
 def _read_pages(data: bytes, width: int, height: int, encoding: str) -> NDArray[Any]:

@@ -110,18 +110,18 @@ def of_mesh(mesh: Mesh, resolution: int, device: str, looks: Sequence[Look] | No
 
 
 def of_geometry(
-    geometry: Volume | SparseVolume | NestedField | AtlasEntry | Shape, clamped: bool = True
+    geometry: Volume | SparseVolume | NestedField | AtlasEntry | Shape, divisor: float | None = None
 ) -> _core.SceneField:
     """Field of an object that has one, converted for the core once.
 
-    A grid that is steeper than a distance is divided by its slope if it is `clamped`: cones past it would take its
-    values for clearances. Levels of one field stay equal where they meet, so they are not clamped.
+    A grid that is steeper than a distance is divided by its slope, or by `divisor` if it is a level of a nested field:
+    cones past it would take its values for clearances.
     """
     if isinstance(geometry, NestedField):
         return _core.SceneField.nested(levels_of(geometry))
     # The key of an entry includes the current contents of its atlas.
     key: tuple[object, ...] = (
-        geometry._key if isinstance(geometry, AtlasEntry) else (type(geometry), id(geometry), clamped)
+        geometry._key if isinstance(geometry, AtlasEntry) else (type(geometry), id(geometry), divisor)
     )
     found = _find(key)
     if found is not None:
@@ -137,15 +137,18 @@ def of_geometry(
     if isinstance(geometry, SparseVolume):
         inner = (checks.triple(corner) for corner in geometry.inner_bounds)
         return _keep(key, _core.SceneField.sparse(geometry._core_field, *inner), geometry.nbytes, geometry)
-    return _keep(key, _field(geometry, clamped), geometry.nbytes, geometry)
+    return _keep(key, _field(geometry, divisor), geometry.nbytes, geometry)
 
 
 def levels_of(field: Volume | NestedField) -> list[_core.SceneField]:
-    """List the fields of the levels of a nested field, finest first, or the one field of a volume."""
-    return [
-        of_geometry(level, clamped=False)
-        for level in (field._joined_levels() if isinstance(field, NestedField) else (field,))
-    ]
+    """List the fields of the levels of a nested field, finest first, or the one field of a volume.
+
+    All levels are divided by the largest slope of them all, so that they stay equal where they meet.
+    """
+    levels = field._joined_levels() if isinstance(field, NestedField) else (field,)
+    fields = [of_geometry(level, divisor=1.0) for level in levels]
+    divisor = max(one.divisor for one in fields)
+    return fields if divisor == 1.0 else [of_geometry(level, divisor=divisor) for level in levels]
 
 
 def of_quadrics(quadrics: Sequence[Quadric]) -> list[_core.SceneField]:
@@ -220,10 +223,10 @@ def _is_rectangle(mesh: Mesh, axis: int) -> bool:
     return bool(abs(area - sides.prod()) <= 1e-4 * sides.prod())
 
 
-def _field(volume: Volume, clamped: bool = True) -> _core.SceneField:
+def _field(volume: Volume, divisor: float | None = None) -> _core.SceneField:
     lower, upper = volume._corners()
     inner = volume.inner_bounds
-    return _core.SceneField(volume._distances, lower, upper, checks.triple(inner[0]), checks.triple(inner[1]), clamped)
+    return _core.SceneField(volume._distances, lower, upper, checks.triple(inner[0]), checks.triple(inner[1]), divisor)
 
 
 def _find(key: object) -> _core.SceneField | None:

@@ -11,6 +11,7 @@
 //! from `p`. Penumbrae use this estimate; its error is of second order.
 
 use super::device_fields::DeviceFields;
+use super::slope::{divide, largest_slope};
 use crate::error::{DeviceError, Error};
 use crate::grid::Grid;
 use crate::march::blocks::{BlockMask, Blocks, DenseBlock};
@@ -18,7 +19,6 @@ use crate::march::marcher::{GridRay, Marcher};
 use crate::progress::Progress;
 use crate::volume::{Cell, FieldView, Trilinear, trilinear, trilinear_gradient};
 use glam::{DAffine3, DMat3, DVec3, IVec3, Vec3};
-use rayon::prelude::*;
 use std::sync::OnceLock;
 
 /// A ray in field space: `origin + t direction`, with `t` in the unit of the caller.
@@ -310,41 +310,15 @@ impl DenseField {
         &self.samples
     }
 
-    /// The field divided by its slope, if that exceeds [`STEEP`]. The surface stays where it is, and cones past it no
-    /// longer take its values for clearances that it does not have.
-    pub(crate) fn clamped(mut self) -> Self {
-        let slope = self.slope();
-        if slope > STEEP && slope.is_finite() {
-            self.samples.par_iter_mut().for_each(|sample| *sample = (f64::from(*sample) / slope) as f32);
-        }
-        self
+    /// Largest slope between neighbouring samples.
+    pub(crate) fn slope(&self) -> f64 {
+        largest_slope(&self.samples, self.grid.shape, self.grid.spacing())
     }
 
-    /// Largest difference of neighbouring samples, relative to their distance: along edges, diagonals of faces, and
-    /// diagonals of cells.
-    fn slope(&self) -> f64 {
-        let [nx, ny, nz] = self.grid.shape;
-        let spacing = self.grid.spacing();
-        let row = |y: usize, z: usize| &self.samples[nx * (y + ny * z)..][..nx];
-        // The 13 pairs of opposite neighbours.
-        let all = (0..27).map(|i| [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1]);
-        let pairs: Vec<[i32; 3]> = all.filter(|&[x, y, z]: &[i32; 3]| [z, y, x] > [0; 3]).collect();
-        let of_pair = |k: usize, &[x, y, z]: &[i32; 3]| {
-            let [before, after] = [x.min(0).unsigned_abs() as usize, x.max(0) as usize].map(|i| i.min(nx));
-            let (low, high) = (y.min(0).unsigned_abs() as usize, ny.saturating_sub(y.max(0) as usize));
-            // Maxima of lanes, so that the compiler uses vectors.
-            let mut most = [0f32; 8];
-            for j in if k + (z as usize) < nz { low..high } else { 0..0 } {
-                let (a, b) = (row(j, k), row((j as i32 + y) as usize, k + z as usize));
-                for (a, b) in a[before..].chunks(8).zip(b[after..].chunks(8)) {
-                    a.iter().zip(b).zip(&mut most).for_each(|((a, b), most)| *most = most.max((a - b).abs()));
-                }
-            }
-            f64::from(most.into_iter().fold(0.0, f32::max))
-                / (DVec3::new(x.into(), y.into(), z.into()) * spacing).length()
-        };
-        let of_slice = |k: usize| pairs.iter().map(|pair| of_pair(k, pair)).fold(0.0, f64::max);
-        (0..nz).into_par_iter().map(of_slice).reduce(|| 0.0, f64::max)
+    /// The field with its samples divided by a number of at least 1.
+    pub(crate) fn divided(mut self, divisor: f64) -> Self {
+        divide(&mut self.samples, divisor);
+        self
     }
 
     #[inline]
@@ -355,9 +329,6 @@ impl DenseField {
 
 /// Largest difference of neighbouring samples of a distance, relative to their distance: 1 and the rounding of samples.
 const LARGEST_SLOPE: f64 = 1.0 + 1.0 / 64.0;
-
-/// Slope above which samples are no distances. The rounding of 8-bit samples, whose range is 4 voxels, adds less.
-const STEEP: f64 = 1.25;
 
 /// Largest ratio of the sides of voxels for which differences along edges and diagonals bound the slope.
 const MOST_OBLONG: f64 = 1.05;

@@ -6,4 +6,5 @@ pub(crate) mod nested;
 pub(crate) mod quadric;
 pub(crate) mod shader_variants;
 pub(crate) mod shape;
+pub(crate) mod slope;
 pub(crate) mod sparse;
