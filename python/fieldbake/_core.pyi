@@ -64,6 +64,7 @@ __all__ = [
     "query",
     "raymarch",
     "raymarch_nested",
+    "read_obj",
     "refined",
     "require_memory",
     "resample",
@@ -1176,6 +1177,9 @@ def shader_library(library: str, head: str, language: str) -> str:
     """The functions of "volume", "sparse", "nested" or "quadrics" in a language; ``head`` is WGSL with a comment and
     the constants that they read.
     """
+
+def read_obj(content: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
+    """The vertices and faces of a Wavefront OBJ file; None if it has materials, texture coordinates or damage."""
 
 def exr_read(bytes: bytes, width: int, height: int, encoding: str) -> bytes:
     """The texels of an OpenEXR file of one channel, if it has this size; float32 for normalised encodings."""

@@ -22,6 +22,7 @@ mod half_edges;
 pub(crate) mod random;
 mod stl;
 pub(crate) mod topology;
+pub(crate) mod wavefront;
 
 use crate::error::MeshError;
 use crate::geometry::is_on_a_line;

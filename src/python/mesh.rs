@@ -1,6 +1,6 @@
 //! `fieldbake._core.Mesh`.
 
-use super::convert::{row_array, rows};
+use super::convert::{owned_rows, row_array, rows};
 use super::error::Failure;
 use super::run::{run, run_owned};
 use crate::bake::sign_warnings;
@@ -190,3 +190,12 @@ impl Mesh {
         Ok(())
     }
 }
+
+/// The vertices and faces of a Wavefront OBJ file; None if it has materials, texture coordinates, colours or damage.
+#[pyfunction]
+pub(super) fn read_obj<'py>(py: Python<'py>, content: &[u8]) -> PyResult<Option<Triangles<'py>>> {
+    let found = run(py, None, |progress| mesh::wavefront::read(content, progress))?;
+    found.map(|found| Ok((owned_rows(py, found.vertices)?, owned_rows(py, found.faces)?))).transpose()
+}
+
+type Triangles<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<i64>>);

@@ -52,7 +52,7 @@ mod _core {
     #[pymodule_export]
     use super::merge::merge;
     #[pymodule_export]
-    use super::mesh::Mesh;
+    use super::mesh::{Mesh, read_obj};
     #[pymodule_export]
     use super::openexr::exr_read;
     #[pymodule_export]

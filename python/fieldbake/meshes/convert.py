@@ -1,7 +1,8 @@
 """Conversion of files, trimesh objects, arrays, and lists of these to a Mesh.
 
-trimesh reads files without merging or reordering vertices. Transforms of scene nodes and of list items are applied in
-float64. A transform with a reflection also reverses the faces, so that the outside stays outside.
+Vertices of files are neither merged nor reordered. trimesh reads the files that have more than triangles. Transforms of
+scene nodes and of list items are applied in float64. A transform with a reflection also reverses the faces, so that the
+outside stays outside.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from .input_arrays import check_colors, check_faces, check_uv, check_vertices
 from .interop import is_cloud, triangles_of
 from .mesh import Mesh
 from .part import ALPHA_MODES, Part
+from .plain_files import object_name, read_plain
 from .ply_strips import with_strips
 from .referenced_files import resolver_beside
 
@@ -265,17 +267,25 @@ def _from_file(path: str | os.PathLike[str]) -> list[_Piece]:
 
 
 def _read_file(path: str | os.PathLike[str], take: Callable[[Any, Document | None], list[_Piece]]) -> list[_Piece]:
-    """List the pieces that `take` finds in the scene of a file. Every failure of a reader becomes a MeshError."""
+    """List the pieces that `take` finds in the scene of a file, or the triangles of a plain file.
+
+    Every failure of a reader becomes a MeshError.
+    """
     file = checks.path(path, "mesh", MeshError)
     if file.is_dir():
         raise MeshError(f"{path}: is a directory, not a mesh file")
     checks.finite_file(file, MeshError)
     # Opening the file here keeps FileNotFoundError and PermissionError unchanged.
-    with file.open("rb") as stream:
-        try:
-            head = stream.read(None if file.suffix.lower() in (".obj", ".glb", ".gltf") else HEAD_BYTES)
-        except MemoryError as error:
-            raise checks.too_large(file) from error
+    ending = file.suffix.lower()
+    try:
+        with file.open("rb") as stream:
+            head = stream.read(None if ending in (".obj", ".stl", ".ply", ".glb", ".gltf") else HEAD_BYTES)
+        plain = read_plain(ending, head)
+    except MemoryError as error:
+        raise checks.too_large(file) from error
+    if plain is not None:
+        name = (object_name(head) if ending == ".obj" else "") or file.name
+        return [_Piece(*plain, parts=[Part(name, range(len(plain[1])))])]
     if head.startswith(b"DRACO"):
         raise MeshError(
             f"{path}: is a file of Draco, which is not read; decode it with `draco_decoder -i FILE -o MESH.ply`, or in "
@@ -285,16 +295,16 @@ def _read_file(path: str | os.PathLike[str], take: Callable[[Any, Document | Non
     import trimesh
 
     # Without texture coordinates trimesh can keep the vertex order of the file; with them it has to split vertices.
-    keeps_order = file.suffix.lower() == ".obj" and b"vt " not in head
+    keeps_order = ending == ".obj" and b"vt " not in head
     options: dict[str, Any] = {"maintain_order": True} if keeps_order else {}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             document: Document | None = None
             source: Any = str(file)
-            if file.suffix.lower() in (".glb", ".gltf"):
-                document = Document(head, file.suffix.lower() == ".glb")
-                source, options = io.BytesIO(document.content), {"file_type": file.suffix.lower()[1:]}
+            if ending in (".glb", ".gltf"):
+                document = Document(head, ending == ".glb")
+                source, options = io.BytesIO(document.content), {"file_type": ending[1:]}
             resolver = resolver_beside(file)
             scene = trimesh.load_scene(source, process=False, resolver=resolver, **options)
             if resolver.refused is not None:
@@ -302,7 +312,7 @@ def _read_file(path: str | os.PathLike[str], take: Callable[[Any, Document | Non
             if document is not None:
                 document.check(scene)
             pieces = take(scene, document)
-        _check_is_whole(_announced_faces(file.suffix.lower(), head), sum(len(piece.faces) for piece in pieces))
+        _check_is_whole(_announced_faces(ending, head), sum(len(piece.faces) for piece in pieces))
     except MeshError:
         raise
     except MemoryError as error:
@@ -340,6 +350,8 @@ def load_nodes(path: str | os.PathLike[str]) -> list[tuple[Mesh, NDArray[np.floa
 
     names: list[str] = []
     pieces = _read_file(path, take)
+    if not names:
+        return [(_mesh(pieces, os.fspath(path)), np.eye(4))]
     meshes = {name: _mesh([piece], os.fspath(path)) for name, piece in zip(names, pieces, strict=True)}
     return [(meshes[key], transform) for key, transform in zip(keys, transforms, strict=True)]
 

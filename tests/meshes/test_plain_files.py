@@ -1,0 +1,134 @@
+"""Files of triangles alone: read without trimesh, as the same triangles that trimesh finds."""
+
+import io
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+
+import fieldbake as fb
+from damage import damaged
+from fieldbake.meshes.plain_files import read_plain
+
+CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1))
+QUADS = "f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n"
+#: Endings and contents of plain files.
+PLAIN = {
+    "quads": (".obj", CUBE + QUADS),
+    "lines of Windows": (".obj", (CUBE + QUADS).replace("\n", "\r\n")),
+    "an object": (".obj", "# made by hand\no cube one\n" + CUBE + "s off\n" + QUADS),
+    "two objects": (".obj", "o a\n" + CUBE + QUADS[:10] + "o b\n" + QUADS[10:]),
+    "normals": (".obj", CUBE + "vn 0 0 1\n" + "f 1//1 2//1 4//1\n"),
+    "indices from the end": (".obj", CUBE + "f -8 -7 -5\n"),
+    "a pentagon and a triangle": (".obj", CUBE + "v .5 2 0\nf 1 2 4 9 3\nf 5 7 8\n"),
+    "weights": (".obj", CUBE.replace("\n", " 1.0\n") + QUADS),
+}
+
+
+def solid():
+    return trimesh.creation.icosphere(subdivisions=2)
+
+
+def exported(kind, **options):
+    stream = io.BytesIO()
+    solid().export(stream, file_type=kind, **options)
+    return stream.getvalue()
+
+
+def triangles(vertices, faces):
+    """The triangles of a mesh, sorted, each turned so that its least corner comes first."""
+    corners = np.asarray(vertices)[np.asarray(faces)]
+    least = [min(range(3), key=lambda k, face=face: tuple(face[k])) for face in corners.tolist()]
+    turned = [np.roll(face, -turn, axis=0).ravel() for face, turn in zip(corners, least, strict=True)]
+    return np.array(sorted(map(tuple, turned)))
+
+
+@pytest.mark.parametrize("name", PLAIN)
+def test_plain_obj_files_have_the_triangles_that_trimesh_finds(name, tmp_path):
+    ending, text = PLAIN[name]
+    path = tmp_path / f"a{ending}"
+    path.write_bytes(text.encode())
+    assert read_plain(ending, path.read_bytes()) is not None
+
+    mesh = fb.load_mesh(path)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # trimesh computes medians of no normals
+        scene = trimesh.load_scene(path, process=False, maintain_order=True)
+    (other,) = scene.geometry.values()
+    assert len(mesh.faces) == len(other.faces)
+    assert np.array_equal(triangles(mesh.vertices, mesh.faces), triangles(other.vertices, other.faces))
+    assert mesh.parts[0].name == next(iter(scene.geometry))
+
+
+@pytest.mark.parametrize("kind", ["stl", "ply"])
+def test_binary_files_have_the_arrays_that_trimesh_finds(kind, tmp_path):
+    path = tmp_path / f"a.{kind}"
+    path.write_bytes(exported(kind))
+    assert read_plain(f".{kind}", path.read_bytes()) is not None
+
+    mesh = fb.load_mesh(path)
+
+    (other,) = trimesh.load_scene(path, process=False).geometry.values()
+    assert np.array_equal(mesh.vertices, other.vertices)
+    assert np.array_equal(mesh.faces, other.faces)
+    assert mesh.parts[0].name == path.name
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".stl", ".ply"])
+def test_own_files_come_back_without_trimesh(suffix, tmp_path):
+    made = fb.models.gear()
+    made.save(tmp_path / f"gear{suffix}")
+    code = (
+        "import sys, fieldbake as fb\n"
+        "mesh = fb.load_mesh(sys.argv[1])\n"
+        "assert 'trimesh' not in sys.modules\n"
+        "print(len(mesh.faces), mesh.is_closed)"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / f"gear{suffix}")]
+    found = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    assert found == [str(len(made.faces)), "True"]
+
+
+OTHER = {
+    "colours of vertices": (".obj", (CUBE.replace("\n", " 1 0 0\n") + QUADS).encode()),
+    "texture coordinates": (".obj", (CUBE + "vt 0 0\nf 1/1 2/1 4/1\n").encode()),
+    "a material": (".obj", (CUBE + "usemtl paint\n" + QUADS).encode()),
+    "a joined line": (".obj", (CUBE + "f 1 2 \\\n4\n").encode()),
+    "no faces": (".obj", CUBE.encode()),
+    "text of stl": (".stl", exported("stl_ascii")),
+    "text of ply": (".ply", exported("ply", encoding="ascii")),
+    "a cut stl": (".stl", exported("stl")[:-1]),
+    "a cut ply": (".ply", exported("ply")[:-1]),
+    "a long ply": (".ply", exported("ply") + b"0"),
+}
+
+
+@pytest.mark.parametrize("name", OTHER)
+def test_other_files_are_left_to_trimesh(name):
+    assert read_plain(*OTHER[name]) is None
+
+
+def test_colours_of_a_ply_are_left_to_trimesh(tmp_path):
+    mesh = solid()
+    mesh.visual.vertex_colors = np.full((len(mesh.vertices), 4), (255, 0, 0, 255), np.uint8)
+    mesh.export(tmp_path / "a.ply")
+    assert read_plain(".ply", (tmp_path / "a.ply").read_bytes()) is None
+    assert fb.load_mesh(tmp_path / "a.ply").vertex_colors is not None
+
+
+@given(data=st.data(), kind=st.sampled_from(["obj", "stl", "ply"]))
+def test_damage_is_an_error_or_another_mesh(tmp_path_factory, data, kind):
+    path = tmp_path_factory.getbasetemp() / f"damaged.{kind}"
+    content = (CUBE + QUADS).encode() if kind == "obj" else exported(kind)
+    path.write_bytes(damaged(data, content))
+    try:
+        mesh = fb.load_mesh(path)
+    except fb.MeshError:
+        return
+    assert np.isfinite(mesh.vertices[mesh.faces]).all()
