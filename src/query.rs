@@ -76,13 +76,13 @@ pub fn signed_distances(
 ) -> Result<Vec<f32>, Error> {
     check_points(mesh, points)?;
     let choice = prepare(mesh, method);
-    let answers = answer_in_order(place, mesh, points, progress, |walk, p, row| {
+    let ordered = evaluate_in_order(place, mesh, points, progress, |walk, p, row| {
         let closest = walk.closest_point(p, row);
         let inside = walk.is_inside(&choice.rule, p, &closest);
         let unsigned = closest.distance * mesh.scale();
         (if inside && unsigned > 0.0 { -unsigned } else { unsigned }) as f32
     })?;
-    answers.into_rows(progress)
+    ordered.into_rows(progress)
 }
 
 /// Replaces "auto" by "cpu" if `rows` points or rays are too few for a device. Other names are returned unchanged, and
@@ -96,13 +96,13 @@ fn are_few(mesh: &Mesh, rows: usize) -> bool {
 }
 
 /// Results along the curve.
-struct Answers<T> {
+struct OrderedResults<T> {
     /// The row of each result.
     order: Vec<u32>,
     results: Vec<T>,
 }
 
-impl<T: Copy + Sync> Answers<T> {
+impl<T: Copy + Sync> OrderedResults<T> {
     /// Passes every result to `write` with its part of the columns and its index in that part. `columns` are the parts
     /// of the output, one for each [`CHUNK`] of rows. Reading the results out of order touches less memory than writing
     /// several arrays out of order.
@@ -135,7 +135,7 @@ impl<T: Copy + Sync> Answers<T> {
     }
 }
 
-impl<T: Copy + Sync + Send + bytemuck::Zeroable> Answers<T> {
+impl<T: Copy + Sync + Send + bytemuck::Zeroable> OrderedResults<T> {
     /// The results in the order of the points.
     fn into_rows(self, progress: &Progress) -> Result<Vec<T>, Error> {
         let mut rows = zeroed_rows("results", self.order.len())?;
@@ -222,13 +222,13 @@ impl Walk<'_> {
 }
 
 /// Processes every point, with near points after each other.
-fn answer_in_order<T: Copy + Send>(
+fn evaluate_in_order<T: Copy + Send>(
     place: &Place,
     mesh: &Mesh,
     points: &[[f64; 3]],
     progress: &Progress,
-    answer: impl Fn(&mut Walk<'_>, DVec3, u32) -> T + Sync,
-) -> Result<Answers<T>, Error> {
+    evaluate: impl Fn(&mut Walk<'_>, DVec3, u32) -> T + Sync,
+) -> Result<OrderedResults<T>, Error> {
     progress.set_total(place.passes() * points.len() as u64);
     let faces = match place {
         Place::Cpu => Vec::new(),
@@ -241,7 +241,7 @@ fn answer_in_order<T: Copy + Send>(
                 prefetch(&points[later as usize]);
             }
             let p = mesh.local_from_world(DVec3::from_array(points[row as usize]));
-            result.write(answer(&mut walk, p, row));
+            result.write(evaluate(&mut walk, p, row));
             // A point takes from a tenth of a microsecond to many milliseconds.
             progress.check()?;
         }
@@ -257,7 +257,7 @@ fn answer_in_order<T: Copy + Send>(
     }
     // SAFETY: without an error each chunk has written one result for each of its rows, and the chunks cover all rows.
     unsafe { results.set_len(order.len()) };
-    Ok(Answers { order, results })
+    Ok(OrderedResults { order, results })
 }
 
 /// Rows in order of the Morton code, or in their own order if there are too few.
@@ -443,11 +443,11 @@ mod tests {
         let progress = Progress::new();
         let points = scattered(CHUNK);
         let count = std::sync::atomic::AtomicUsize::new(0);
-        let answers = answer_in_order(&Place::Cpu, &mesh, &points, &progress, |_, _, _| {
+        let ordered = evaluate_in_order(&Place::Cpu, &mesh, &points, &progress, |_, _, _| {
             progress.cancel();
             count.fetch_add(1, std::sync::atomic::Ordering::Relaxed)
         });
-        assert!(matches!(answers, Err(Error::Cancelled)));
+        assert!(matches!(ordered, Err(Error::Cancelled)));
         assert_eq!(count.into_inner(), 1);
         assert!(matches!(sorted((0..SORTED_AT_ONCE as u64 + 1).collect(), &progress), Err(Error::Cancelled)));
     }

@@ -64,12 +64,12 @@ pub(crate) fn shader(kinds: ViewedKinds, solids: &[Arc<Solid>], language: Langua
     for solid in solids {
         shapes.push(StructureText::of(solid, ARRAY, "steps").map(|whole| {
             let function = (whole.body, whole.color);
-            let known = functions.iter().position(|known| *known == function);
-            if known.is_none() {
+            let found = functions.iter().position(|found| *found == function);
+            if found.is_none() {
                 functions.push(function);
             }
             ShapeFunction {
-                structure: known.unwrap_or(functions.len() - 1) as u32,
+                structure: found.unwrap_or(functions.len() - 1) as u32,
                 numbers: whole.numbers,
                 center: solid.frame.center.to_array(),
                 scale: solid.frame.scale,
@@ -143,7 +143,7 @@ fn without_lines(text: &str, name: &str) -> String {
 /// The text in place of `shaders/viewer/needs.wgsl`.
 fn needs(kinds: ViewedKinds, has_shape: bool) -> String {
     let ViewedKinds { dense, sparse, quadric, encoding, .. } = kinds;
-    let encoding = encoding.and_then(|one| Encoding::ALL.iter().position(|&known| known == one));
+    let encoding = encoding.and_then(|one| Encoding::ALL.iter().position(|&found| found == one));
     format!(
         "const HAS_DENSE: bool = {dense};\nconst HAS_SPARSE: bool = {sparse};\nconst HAS_SHAPE: bool = {has_shape};\n\
          const HAS_QUADRIC: bool = {quadric};\nconst HAS_SLICE: bool = true;\nconst IS_MOTION: bool = false;\n\

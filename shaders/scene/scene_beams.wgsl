@@ -4,7 +4,7 @@
 #import scene_occluders
 
 @group(0) @binding(7) var<storage, read> beams: array<Beam>;
-@group(0) @binding(8) var<storage, read_write> answers: array<Answer>;
+@group(0) @binding(8) var<storage, read_write> beam_results: array<BeamResult>;
 
 const TAU: f32 = 6.2831855;
 const WIDE: u32 = 2u;
@@ -406,7 +406,7 @@ fn rays(@builtin(global_invocation_id) id: vec3u) {
     is_far = 0u;
     let beam = beams[params.first + id.x];
     let share = ray_share(beam);
-    answers[beam.owner] = Answer(share, 1u, steps, u32(steps < MAX_STEPS), is_far);
+    beam_results[beam.owner] = BeamResult(share, 1u, steps, u32(steps < MAX_STEPS), is_far);
 }
 
 // Evaluates cones without rays past edges. Most cones need none, and a kernel without those rays is much shorter.
@@ -420,7 +420,7 @@ fn cones(@builtin(global_invocation_id) id: vec3u) {
     let beam = beams[params.first + id.x];
     let found = cone_share(beam, false);
     let state = select(u32(steps < MAX_STEPS), NEEDS_EDGE, needs_edge);
-    answers[beam.owner] = Answer(found.x, u32(found.y), steps, state, is_far);
+    beam_results[beam.owner] = BeamResult(found.x, u32(found.y), steps, state, is_far);
 }
 
 // Evaluates the cones that need a ray past an edge.
@@ -433,7 +433,7 @@ fn edge_cones(@builtin(global_invocation_id) id: vec3u) {
     needs_edge = false;
     let beam = beams[params.first + id.x];
     let found = cone_share(beam, true);
-    answers[beam.owner] = Answer(found.x, u32(found.y), steps, u32(steps < MAX_STEPS), is_far);
+    beam_results[beam.owner] = BeamResult(found.x, u32(found.y), steps, u32(steps < MAX_STEPS), is_far);
 }
 
 // ---- lengths inside an instance, twin of src/scene/light/transmission.rs
@@ -483,5 +483,5 @@ fn thicknesses(@builtin(global_invocation_id) id: vec3u) {
             t = min(t + max(abs(here.y) * pace, least_step), span.y);
         }
     }
-    answers[beam.owner] = Answer(inside, 1u, steps, 1u, 0u);
+    beam_results[beam.owner] = BeamResult(inside, 1u, steps, 1u, 0u);
 }

@@ -60,14 +60,14 @@ struct TileParams {
 // Three corners and three normals of each face, in the space of the mesh's tree.
 @group(0) @binding(8) var<storage, read> faces: array<f32>;
 @group(0) @binding(9) var<storage, read_write> beams: array<Beam>;
-@group(0) @binding(10) var<storage, read_write> answers: array<Answer>;
+@group(0) @binding(10) var<storage, read_write> beam_results: array<BeamResult>;
 // Numbers of items: see scene_counts.
 @group(0) @binding(11) var<storage, read_write> counts: array<atomic<u32>, COUNTS>;
 // Output of `divide` and `collect_edges`.
 @group(0) @binding(12) var<storage, read_write> parts: array<Beam>;
 // Index of the beam of each disc that is divided.
 @group(0) @binding(13) var<storage, read_write> discs: array<u32>;
-@group(0) @binding(14) var<storage, read> part_answers: array<Answer>;
+@group(0) @binding(14) var<storage, read> part_results: array<BeamResult>;
 
 const IS_TRIANGLE: u32 = 0xffffffffu;
 const FACE_FLOATS: u32 = 18u;
@@ -98,8 +98,8 @@ fn surface_beams(@builtin(global_invocation_id) id: vec3u, @builtin(local_invoca
     let y = place / view.tile_columns * TILE + ((lane >> 2u) & 1u) + ((lane >> 3u) & 6u);
     if place >= view.tile_count || x >= view.width || y >= view.height { return; }
     let light_count = view.light_count + zero;
-    let first_answer = ((tile - piece.start) * GROUP + lane) * light_count;
-    for (var k = 0u; k < light_count; k++) { answers[first_answer + k] = Answer(); }
+    let first_result = ((tile - piece.start) * GROUP + lane) * light_count;
+    for (var k = 0u; k < light_count; k++) { beam_results[first_result + k] = BeamResult(); }
     let seen = seen_pixels[y * view.stride + x];
     if seen.x == 0u || seen.w != IS_TRIANGLE { return; }
     let index = seen.x - 1u;
@@ -149,7 +149,7 @@ fn surface_beams(@builtin(global_invocation_id) id: vec3u, @builtin(local_invoca
             beam.direction = way / beam.t_max;
             beam.slope = light.size / beam.t_max;
         }
-        beam.owner = first_answer + i;
+        beam.owner = first_result + i;
         if dot(beam.normal, beam.direction) > 0.0 { add_beam(beam); }
     }
 }
@@ -158,7 +158,7 @@ fn surface_beams(@builtin(global_invocation_id) id: vec3u, @builtin(local_invoca
 @compute @workgroup_size(64)
 fn collect_discs(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= piece.count { return; }
-    let found = answers[beams[id.x].owner];
+    let found = beam_results[beams[id.x].owner];
     if found.is_proven != 0u || found.is_complete != 1u { return; }
     discs[atomicAdd(&counts[DISCS], 1u)] = id.x;
 }
@@ -188,7 +188,7 @@ fn divide(@builtin(global_invocation_id) id: vec3u) {
 fn collect_edges(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= piece.count { return; }
     let beam = beams[id.x];
-    if answers[beam.owner].is_complete == NEEDS_EDGE { parts[atomicAdd(&counts[EDGES], 1u)] = beam; }
+    if beam_results[beam.owner].is_complete == NEEDS_EDGE { parts[atomicAdd(&counts[EDGES], 1u)] = beam; }
 }
 
 // Replaces the answers of divided discs by the means of their parts.
@@ -196,10 +196,10 @@ fn collect_edges(@builtin(global_invocation_id) id: vec3u) {
 fn join_parts(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= piece.count { return; }
     let parent = beams[discs[piece.first + id.x]].owner;
-    var found = answers[parent];
+    var found = beam_results[parent];
     var sum = 0.0;
     for (var i = 0u; i < PARTS; i++) {
-        let part = part_answers[PARTS * id.x + i];
+        let part = part_results[PARTS * id.x + i];
         sum += part.value;
         found.steps += part.steps;
         found.is_far += part.is_far;
@@ -207,5 +207,5 @@ fn join_parts(@builtin(global_invocation_id) id: vec3u) {
     }
     found.value = sum / f32(PARTS);
     found.is_proven = DIVIDED;
-    answers[parent] = found;
+    beam_results[parent] = found;
 }

@@ -104,10 +104,10 @@ impl Context {
         let can_compute = adapter.get_downlevel_capabilities().flags.contains(needed);
         check_adapter(can_compute, &limits).map_err(unavailable)?;
 
-        let wanted = wgpu::Features::FLOAT32_FILTERABLE | wgpu::Features::TIMESTAMP_QUERY;
+        let optional = wgpu::Features::FLOAT32_FILTERABLE | wgpu::Features::TIMESTAMP_QUERY;
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("fieldbake"),
-            required_features: adapter.features() & wanted,
+            required_features: adapter.features() & optional,
             required_limits: limits.clone(),
             memory_hints: wgpu::MemoryHints::Performance,
             ..wgpu::DeviceDescriptor::default()
@@ -116,11 +116,11 @@ impl Context {
             pollster::block_on(adapter.request_device(&descriptor)).map_err(|error| unavailable(error.to_string()))?;
 
         let trouble = Arc::new(Trouble::default());
-        let seen = trouble.clone();
-        device.set_device_lost_callback(move |reason, message| seen.lose(&format!("{reason:?}: {message}")));
-        let seen = trouble.clone();
+        let shared = trouble.clone();
+        device.set_device_lost_callback(move |reason, message| shared.lose(&format!("{reason:?}: {message}")));
+        let shared = trouble.clone();
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
-            *seen.uncaptured.lock().unwrap_or_else(PoisonError::into_inner) = Some(error.to_string());
+            *shared.uncaptured.lock().unwrap_or_else(PoisonError::into_inner) = Some(error.to_string());
         }));
         let open = OpenDevice {
             device,

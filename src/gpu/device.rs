@@ -98,9 +98,9 @@ pub fn choose(device: &str) -> Result<Place, DeviceError> {
         }
         name => {
             let offered = offered();
-            let wanted = name.to_lowercase();
-            let exact = offered.iter().find(|info| info.name.to_lowercase() == wanted);
-            let mut partial = offered.iter().filter(|info| info.name.to_lowercase().contains(&wanted));
+            let requested = name.to_lowercase();
+            let exact = offered.iter().find(|info| info.name.to_lowercase() == requested);
+            let mut partial = offered.iter().filter(|info| info.name.to_lowercase().contains(&requested));
             match (exact, partial.next(), partial.next()) {
                 (Some(info), ..) | (None, Some(info), None) => Ok(Place::Gpu(context(info)?)),
                 _ => Err(DeviceError::Unknown { requested: name.into() }),

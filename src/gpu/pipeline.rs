@@ -22,7 +22,7 @@ pub(crate) struct WrittenKernels(Mutex<HashMap<String, Written>>);
 #[derive(Debug)]
 enum Written {
     /// Requested once. A kernel that is used only once is not worth compiling.
-    AskedFor,
+    Requested,
     /// A thread compiles it.
     BeingCompiled,
     Ready(wgpu::ComputePipeline),
@@ -146,16 +146,16 @@ impl Context {
         entry: &'static str,
         text: String,
     ) -> Option<wgpu::ComputePipeline> {
-        let mut known = self.written.lock();
-        match known.get(&text) {
+        let mut programs = self.written.lock();
+        match programs.get(&text) {
             Some(Written::Ready(pipeline)) => return Some(pipeline.clone()),
             Some(Written::BeingCompiled | Written::Refused) => return None,
-            Some(Written::AskedFor) => {}
+            Some(Written::Requested) => {}
             None => {
-                if known.len() >= MAX_WRITTEN {
-                    known.retain(|_, kernel| matches!(kernel, Written::BeingCompiled));
+                if programs.len() >= MAX_WRITTEN {
+                    programs.retain(|_, kernel| matches!(kernel, Written::BeingCompiled));
                 }
-                known.insert(text, Written::AskedFor);
+                programs.insert(text, Written::Requested);
                 return None;
             }
         }
@@ -168,7 +168,7 @@ impl Context {
             context.written.lock().insert(source, kernel);
         };
         if std::thread::Builder::new().name("fieldbake-compile".into()).spawn(work).is_ok() {
-            known.insert(text, Written::BeingCompiled);
+            programs.insert(text, Written::BeingCompiled);
         }
         None
     }

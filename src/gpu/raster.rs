@@ -13,9 +13,9 @@ use std::collections::HashMap;
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
-const SEEN: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Uint;
+const VISIBLE: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Uint;
 const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
-/// Size of a pixel of [`SEEN`], bytes.
+/// Size of a pixel of [`VISIBLE`], bytes.
 const PIXEL_BYTES: u32 = 16;
 
 /// Pipelines by kernel and overrides of imported files.
@@ -25,8 +25,8 @@ pub(crate) struct RasterPipelines(Mutex<HashMap<(&'static str, Vec<Instead>), wg
 /// The target of a pass, and memory for its pixels on the host.
 #[derive(Debug)]
 pub struct RasterTarget {
-    seen: wgpu::Texture,
-    seen_view: wgpu::TextureView,
+    visible: wgpu::Texture,
+    visible_view: wgpu::TextureView,
     depth_view: wgpu::TextureView,
     /// Size in pixels.
     pub size: [u32; 2],
@@ -94,7 +94,7 @@ impl Context {
                     module: &module,
                     entry_point: Some(fragment),
                     compilation_options: wgpu::PipelineCompilationOptions::default(),
-                    targets: &[Some(SEEN.into())],
+                    targets: &[Some(VISIBLE.into())],
                 }),
                 multiview_mask: None,
                 cache: None,
@@ -134,10 +134,10 @@ impl Context {
         let result = self.read_back(label, bytes)?;
         let view = |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
         self.guarded(label, 2 * bytes, || {
-            let seen = texture(SEEN, wgpu::TextureUsages::COPY_SRC);
-            let seen_view = view(&seen);
+            let visible = texture(VISIBLE, wgpu::TextureUsages::COPY_SRC);
+            let visible_view = view(&visible);
             let depth_view = view(&texture(DEPTH, wgpu::TextureUsages::empty()));
-            RasterTarget { seen, seen_view, depth_view, size: [width, height], stride, rows, result }
+            RasterTarget { visible, visible_view, depth_view, size: [width, height], stride, rows, result }
         })
     }
 
@@ -161,7 +161,7 @@ impl Context {
                 let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                     label: Some(label),
                     color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                        view: &target.seen_view,
+                        view: &target.visible_view,
                         depth_slice: None,
                         resolve_target: None,
                         ops: wgpu::Operations {
@@ -193,7 +193,7 @@ impl Context {
                 }
             }
             encoder.copy_texture_to_buffer(
-                target.seen.as_image_copy(),
+                target.visible.as_image_copy(),
                 wgpu::TexelCopyBufferInfo {
                     buffer: &target.rows,
                     layout: wgpu::TexelCopyBufferLayout {
@@ -202,7 +202,7 @@ impl Context {
                         rows_per_image: Some(height),
                     },
                 },
-                target.seen.size(),
+                target.visible.size(),
             );
             target.result.record(&mut encoder, &target.rows, 0, 0, target.rows.size());
             if let Some(timer) = timer {

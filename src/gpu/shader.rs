@@ -112,8 +112,8 @@ pub(crate) fn shared(name: &str) -> Option<&'static str> {
 pub(crate) fn source_with(kernel: &str, instead: &[(&str, &str)]) -> Result<String, String> {
     let text = find(&TEXTS[0], kernel).ok_or_else(|| format!("there is no kernel '{kernel}'"))?;
     let mut joined = String::new();
-    let mut seen = Vec::new();
-    join(kernel, text, instead, &mut seen, &mut joined)?;
+    let mut visited = Vec::new();
+    join(kernel, text, instead, &mut visited, &mut joined)?;
     Ok(joined)
 }
 
@@ -126,7 +126,7 @@ pub(crate) fn source_instead(kernel: &str, instead: &[Instead]) -> Result<String
 }
 
 fn find<'a, T: AsRef<str>>(files: &'a [(&str, T)], name: &str) -> Option<&'a str> {
-    files.iter().find(|(known, _)| *known == name).map(|(_, text)| text.as_ref())
+    files.iter().find(|(file, _)| *file == name).map(|(_, text)| text.as_ref())
 }
 
 /// Appends `text` after its imports.
@@ -134,18 +134,18 @@ fn join<'a>(
     name: &str,
     text: &'a str,
     instead: &'a [(&str, &str)],
-    seen: &mut Vec<&'a str>,
+    visited: &mut Vec<&'a str>,
     joined: &mut String,
 ) -> Result<(), String> {
     for line in text.lines() {
         let Some(import) = line.trim().strip_prefix("#import ") else { continue };
         let import = import.trim();
-        if !seen.contains(&import) {
-            seen.push(import);
+        if !visited.contains(&import) {
+            visited.push(import);
             let shared = find(instead, import)
                 .or_else(|| find(&TEXTS[1], import))
                 .ok_or_else(|| format!("{name} imports '{import}', which does not exist"))?;
-            join(import, shared, instead, seen, joined)?;
+            join(import, shared, instead, visited, joined)?;
         }
     }
     // Writing to a string cannot fail.

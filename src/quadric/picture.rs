@@ -35,8 +35,8 @@ impl QuadricView<'_> {
         let shadow = &mut row.shadow[x * row.lights..][..row.lights];
         let to_eye = -direction.normalize().as_vec3();
         let normal = hit.normal.as_vec3();
-        let look = LitPoint { normal, to_eye, color: self.quadrics.reflectance(hit.quadric) };
-        let color = lit(&look, self.options, self.lights, shadow, |to_light| {
+        let point = LitPoint { normal, to_eye, color: self.quadrics.reflectance(hit.quadric) };
+        let color = lit(&point, self.options, self.lights, shadow, |to_light| {
             self.share_that_arrives(p, hit.normal, hit.quadric, to_light.as_dvec3())
         });
 

@@ -1,7 +1,7 @@
 //! Nearest points, signed distances and winding numbers of a cloud at arbitrary positions, along the curve of the
 //! module.
 
-use super::{AHEAD, Answers, CHUNK, SLACK, curve};
+use super::{AHEAD, CHUNK, OrderedResults, SLACK, curve};
 use crate::cloud::{NearestDisk, PointCloud};
 use crate::error::{ArgumentError, Error};
 use crate::memory::{prefetch, space_for, zeroed_rows};
@@ -32,7 +32,7 @@ pub fn query_cloud(
     progress: &Progress,
 ) -> Result<CloudQuery, Error> {
     let scale = cloud.scale();
-    let answers = answer(cloud, points, progress, |last: &mut Option<DVec3>, p| {
+    let ordered = evaluate(cloud, points, progress, |last: &mut Option<DVec3>, p| {
         let bound = last.map_or(f64::INFINITY, |near| p.distance(near)) * (1.0 + SLACK.0) + SLACK.1;
         let found = cloud.nearest(p, bound);
         *last = Some(found.point);
@@ -44,12 +44,12 @@ pub fn query_cloud(
         distances: zeroed_rows("results", count)?,
         points: zeroed_rows("results", count)?,
         rows: zeroed_rows("results", count)?,
-        inside: answers.results.iter().filter(|result| result.1).count(),
-        undecided: answers.results.iter().filter(|result| result.2).count(),
+        inside: ordered.results.iter().filter(|result| result.1).count(),
+        undecided: ordered.results.iter().filter(|result| result.2).count(),
     };
     let columns = found.distances.chunks_mut(CHUNK).zip(found.points.chunks_mut(CHUNK));
     let columns = columns.zip(found.rows.chunks_mut(CHUNK));
-    answers.write_rows(progress, columns, |column, i, (nearest, inside, _): &(NearestDisk, bool, bool)| {
+    ordered.write_rows(progress, columns, |column, i, (nearest, inside, _): &(NearestDisk, bool, bool)| {
         let ((distances, points), rows) = column;
         let distance = nearest.distance * scale;
         distances[i] = if *inside && distance > 0.0 { -distance } else { distance };
@@ -61,7 +61,7 @@ pub fn query_cloud(
 
 /// Whether each position is inside.
 pub fn cloud_contains(cloud: &PointCloud, points: &[[f64; 3]], progress: &Progress) -> Result<Vec<bool>, Error> {
-    answer(cloud, points, progress, |(), p| cloud.is_inside(p))?.into_rows(progress)
+    evaluate(cloud, points, progress, |(), p| cloud.is_inside(p))?.into_rows(progress)
 }
 
 /// The winding number of each position, with an absolute error of at most `error`.
@@ -71,16 +71,16 @@ pub fn cloud_winding_numbers(
     error: f64,
     progress: &Progress,
 ) -> Result<Vec<f64>, Error> {
-    answer(cloud, points, progress, |(), p| cloud.winding(p, |_| error))?.into_rows(progress)
+    evaluate(cloud, points, progress, |(), p| cloud.winding(p, |_| error))?.into_rows(progress)
 }
 
 /// Processes every position, with near ones after each other. `work` has a state that lasts for a chunk.
-fn answer<S: Default, T: Copy + Send>(
+fn evaluate<S: Default, T: Copy + Send>(
     cloud: &PointCloud,
     points: &[[f64; 3]],
     progress: &Progress,
     work: impl Fn(&mut S, DVec3) -> T + Sync,
-) -> Result<Answers<T>, Error> {
+) -> Result<OrderedResults<T>, Error> {
     if let Some(row) = points.iter().position(|&point| !cloud.can_reach(point)) {
         let problem = format!("points[{row}] = {:?} is too far from the cloud", points[row]);
         return Err(ArgumentError::new("points", problem).into());
@@ -101,5 +101,5 @@ fn answer<S: Default, T: Copy + Send>(
         progress.advance(rows.len() as u64).map(|()| part)
     });
     parts.collect::<Result<Vec<_>, Error>>()?.into_iter().for_each(|part: Vec<T>| results.extend(part));
-    Ok(Answers { order, results })
+    Ok(OrderedResults { order, results })
 }

@@ -1,6 +1,6 @@
 //! The side and the winding number of points, without distances.
 
-use super::{CHUNK, answer_in_order, check_points, prepare};
+use super::{CHUNK, check_points, evaluate_in_order, prepare};
 use crate::bvh::BOX_ROUNDING;
 use crate::error::Error;
 use crate::gpu::Place;
@@ -53,7 +53,7 @@ fn contains_each(mesh: &Mesh, points: &[[f64; 3]], rule: &SignRule, progress: &P
     if closed && matches!(rule, SignRule::Counted(_)) {
         mesh.ray_packs();
     }
-    let answers = answer_in_order(&Place::Cpu, mesh, points, progress, |walk, p, row| {
+    let ordered = evaluate_in_order(&Place::Cpu, mesh, points, progress, |walk, p, row| {
         match rule {
             SignRule::Pseudonormal | SignRule::Normal => {
                 let closest = walk.closest_point(p, row);
@@ -68,7 +68,7 @@ fn contains_each(mesh: &Mesh, points: &[[f64; 3]], rule: &SignRule, progress: &P
             rule => walk.sides.is_inside_without_distance(rule, mesh, p),
         }
     })?;
-    answers.into_rows(progress)
+    ordered.into_rows(progress)
 }
 
 /// The winding number of each world position, of the faces as they are wound.
@@ -79,10 +79,10 @@ pub fn winding_numbers(mesh: &Mesh, points: &[[f64; 3]], error: f64, progress: &
     }
     let closure = mesh.raw_closure();
     let fast = derive_winding_tables(mesh, error);
-    let answers = answer_in_order(&Place::Cpu, mesh, points, progress, |_, p, _| {
+    let ordered = evaluate_in_order(&Place::Cpu, mesh, points, progress, |_, p, _| {
         if fast { mesh.moments().winding(mesh, p) } else { closure.winding(mesh, p) }
     })?;
-    answers.into_rows(progress)
+    ordered.into_rows(progress)
 }
 
 /// Builds the tables that [`winding_numbers`] reads, and returns whether it sums dipoles.

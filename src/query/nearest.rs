@@ -9,7 +9,7 @@
 //! the surface the side follows from the pseudonormal and float64 positions: the sign rule determines the sides in
 //! front of and behind the surface, and the pseudonormal determines on which of them the point lies.
 
-use super::{CHUNK, SLACK, Walk, answer_in_order, check_points, prepare};
+use super::{CHUNK, SLACK, Walk, check_points, evaluate_in_order, prepare};
 use crate::bake::Report;
 use crate::bvh::nearest::closest::ClosestPoint;
 use crate::error::Error;
@@ -74,7 +74,7 @@ pub fn closest_points(
 ) -> Result<ClosestPoints, Error> {
     check_points(mesh, points)?;
     mesh.bvh();
-    let answers = answer_in_order(place, mesh, points, progress, |walk, p, row| {
+    let ordered = evaluate_in_order(place, mesh, points, progress, |walk, p, row| {
         let closest = walk.exact_closest_point(p, row);
         (closest, unit_normal(mesh, triangle_cross(mesh.exact_triangle(closest.face)), closest.face))
     })?;
@@ -89,7 +89,7 @@ pub fn closest_points(
     let columns = found.points.chunks_mut(CHUNK).zip(found.distances.chunks_mut(CHUNK));
     let columns = columns.zip(found.faces.chunks_mut(CHUNK)).zip(found.barycentric.chunks_mut(CHUNK));
     let columns = columns.zip(found.normals.chunks_mut(CHUNK));
-    answers.write_rows(progress, columns, |column, i, (closest, normal)| {
+    ordered.write_rows(progress, columns, |column, i, (closest, normal)| {
         let ((((points, distances), faces), barycentric), normals) = column;
         points[i] = mesh.world_from_local(closest.on_triangle.point).to_array();
         distances[i] = closest.distance * mesh.scale();
@@ -112,7 +112,7 @@ pub fn query(
     let started = Instant::now();
     let choice = prepare(mesh, method);
     let prepared = started.elapsed().as_secs_f64();
-    let answers = answer_in_order(place, mesh, points, progress, |walk, p, row| {
+    let ordered = evaluate_in_order(place, mesh, points, progress, |walk, p, row| {
         let closest = walk.exact_closest_point(p, row);
         let (inside, gradient) = side_and_gradient(walk, &choice.rule, p, &closest);
         (closest, inside, gradient)
@@ -130,7 +130,7 @@ pub fn query(
     let columns = columns.zip(found.points.chunks_mut(CHUNK)).zip(found.faces.chunks_mut(CHUNK));
     let mut inside_counts = vec![0usize; count.div_ceil(CHUNK)];
     let columns = columns.zip(found.barycentric.chunks_mut(CHUNK)).zip(&mut inside_counts);
-    answers.write_rows(progress, columns, |column, i, (closest, inside, gradient)| {
+    ordered.write_rows(progress, columns, |column, i, (closest, inside, gradient)| {
         let (((((distances, gradients), points), faces), barycentric), inside_count) = column;
         **inside_count += usize::from(*inside);
         let distance = closest.distance * mesh.scale();

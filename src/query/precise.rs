@@ -1,6 +1,6 @@
 //! Signed distances in float64: magnitudes from the mesh's own positions, signs as in the float32 functions.
 
-use super::{CHUNK, answer_in_order, check_points, prepare};
+use super::{CHUNK, check_points, evaluate_in_order, prepare};
 use crate::error::Error;
 use crate::gpu::Place;
 use crate::grid::Grid;
@@ -25,7 +25,7 @@ pub fn precise_signed_distances(
 ) -> Result<Vec<f64>, Error> {
     check_points(mesh, points)?;
     let choice = prepare(mesh, method);
-    let answers = answer_in_order(place, mesh, points, progress, |walk, p, row| {
+    let ordered = evaluate_in_order(place, mesh, points, progress, |walk, p, row| {
         let closest = match walk.face_of_device(row) {
             Some(face) => exact_within(mesh, p, mesh.exact_point_on_face(face, p).distance),
             None => walk.exact_closest_point(p, row),
@@ -38,7 +38,7 @@ pub fn precise_signed_distances(
         let unsigned = closest.distance * mesh.scale();
         if inside && unsigned > 0.0 { -unsigned } else { unsigned }
     })?;
-    answers.into_rows(progress)
+    ordered.into_rows(progress)
 }
 
 /// Float64 distances of the samples of a grid, x fastest, with the signs of `samples`, their float32 distances.

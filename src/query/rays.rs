@@ -201,8 +201,8 @@ impl Batch<'_> {
     }
 }
 
-/// Processes every ray. `columns` are the parts of the result, one for each [`CHUNK`] of rays. `answer` gets a batch of
-/// rays, their part of the result, and reusable memory.
+/// Processes every ray. `columns` are the parts of the result, one for each [`CHUNK`] of rays. `evaluate` gets a batch
+/// of rays, their part of the result, and reusable memory.
 fn trace<C: Send, S: Default>(
     place: &Place,
     search: Search,
@@ -210,7 +210,7 @@ fn trace<C: Send, S: Default>(
     rays: &Rays<'_>,
     progress: &Progress,
     columns: impl Iterator<Item = C>,
-    answer: impl Fn(&Batch<'_>, &mut C, &mut S) -> Result<(), Error> + Sync,
+    evaluate: impl Fn(&Batch<'_>, &mut C, &mut S) -> Result<(), Error> + Sync,
 ) -> Result<(), Error> {
     check(rays)?;
     let count = rays.origins.len();
@@ -226,7 +226,7 @@ fn trace<C: Send, S: Default>(
     let answer_task = |scratch: &mut S, (task, mut column): (usize, C)| {
         let rows = task * CHUNK..count.min((task + 1) * CHUNK);
         let items = rows.len() as u64;
-        answer(&Batch { rays, rows: rows.clone(), near, found: found.get(rows) }, &mut column, scratch)?;
+        evaluate(&Batch { rays, rows: rows.clone(), near, found: found.get(rows) }, &mut column, scratch)?;
         progress.advance(items)
     };
     let mut tasks = columns.enumerate();

@@ -13,7 +13,7 @@
 //! Newton's method on the whole triangle or, where that leaves the cone, on the boundary of the cone.
 
 use super::nearest::outward_normal;
-use super::{answer_in_order, check_points, prepare};
+use super::{check_points, evaluate_in_order, prepare};
 use crate::bvh::Bvh;
 use crate::bvh::rays::watertight::Ray;
 use crate::error::{ArgumentError, Error};
@@ -54,7 +54,7 @@ pub fn thickness(
     check_normals(points, normals)?;
     let choice = prepare(mesh, SignMethod::Auto);
     mesh.pseudonormals();
-    let answers = answer_in_order(&Place::Cpu, mesh, points, progress, |walk, p, row| {
+    let ordered = evaluate_in_order(&Place::Cpu, mesh, points, progress, |walk, p, row| {
         let closest = walk.exact_closest_point(p, row);
         let normal = match normals {
             Some(normals) => DVec3::from_array(normals[row as usize]).normalize(),
@@ -62,7 +62,7 @@ pub fn thickness(
         };
         2.0 * radius(mesh, closest.on_triangle.point, normal) * mesh.scale()
     })?;
-    answers.into_rows(progress)
+    ordered.into_rows(progress)
 }
 
 /// The largest ball that touches a point of the surface, as found so far.

@@ -66,7 +66,7 @@ pub(crate) struct LitPoint {
 /// Linear RGB of a lit surface. Writes the fraction of each light that arrives; for hard shadows `share_that_arrives`
 /// computes it.
 pub(crate) fn lit(
-    look: &LitPoint,
+    point: &LitPoint,
     options: &RaymarchOptions,
     lights: &[DirectionalLight],
     shadow: &mut [f32],
@@ -78,7 +78,7 @@ pub(crate) fn lit(
             Shadows::Hard => share_that_arrives(-light.direction),
         };
     }
-    lit_color(look.color, look.normal, look.to_eye, lights, shadow, options)
+    lit_color(point.color, point.normal, point.to_eye, lights, shadow, options)
 }
 
 /// Data shared by all pixels.
@@ -130,8 +130,8 @@ impl<'a, F: Blocks> Shader<'a, F> {
 
     /// Linear RGB of a surface. Writes the fraction of each light that arrives.
     pub(super) fn shade(&self, surface: &PixelHit, shadow: &mut [f32]) -> Vec3 {
-        let look = LitPoint { normal: surface.normal, to_eye: surface.to_eye, color: self.options.color };
-        lit(&look, self.options, self.lights, shadow, |to_light| self.share_that_arrives(surface, to_light))
+        let point = LitPoint { normal: surface.normal, to_eye: surface.to_eye, color: self.options.color };
+        lit(&point, self.options, self.lights, shadow, |to_light| self.share_that_arrives(surface, to_light))
     }
 
     /// 0 if the field occludes the light, else 1.

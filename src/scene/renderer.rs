@@ -199,13 +199,13 @@ fn draw(
     let draws = u64::from(passes) - u64::from(reused[0]);
     let finds = evaluation::find_count(options, passes, reused[1]);
     let shades = u64::from(passes);
-    progress.set_total((draws + finds * evaluation::FIND_WORTH + shades) * u64::from(options.size[1]));
+    progress.set_total((draws + finds * evaluation::ROW_PROGRESS + shades) * u64::from(options.size[1]));
 
     if options.shadows != SceneShadows::None || options.occlusion.is_some() || options.bounces.is_some() {
         scene.prepare_rays();
     }
     let casters = Casters { scene, far, near: None };
-    let light_device = device.filter(|device| device.knows_all());
+    let light_device = device.filter(|device| device.has_all_fields());
     let lights = Lights::new(scene, options);
     let mut seconds = vec![("primary", 0.0), ("light", 0.0)];
     let bounces = Bounces::new(&casters, &lights, options, progress)?;
@@ -230,7 +230,7 @@ fn draw(
         };
         seconds[0].1 += start.elapsed().as_secs_f64();
         let start = Instant::now();
-        let look = Pass {
+        let light_pass = Pass {
             casters: &casters,
             buffer: &buffer,
             lights: &lights,
@@ -241,9 +241,9 @@ fn draw(
             counters: &counters,
             progress,
         };
-        let known = match last_light.take() {
-            Some(known) => known,
-            None => evaluation::find(&look, centre.as_ref().map(|(buffer, known, _)| (buffer, known)))?,
+        let direct = match last_light.take() {
+            Some(direct) => direct,
+            None => evaluation::find(&light_pass, centre.as_ref().map(|(buffer, direct, _)| (buffer, direct)))?,
         };
         if pass == 0 {
             light_rays = counters.counts();
@@ -253,11 +253,11 @@ fn draw(
         if let Some(bounces) = &bounces {
             let start = Instant::now();
             let centre = centre.as_ref().and_then(|(buffer, _, indirect)| Some((buffer, indirect.as_ref()?)));
-            indirect = Some(evaluation::find_bounces(&look, bounces, centre)?);
+            indirect = Some(evaluation::find_bounces(&light_pass, bounces, centre)?);
             seconds[2].1 += start.elapsed().as_secs_f64();
         }
         let start = Instant::now();
-        let (lit, rays) = compose::compose(&look, &known, indirect.as_ref())?;
+        let (lit, rays) = compose::compose(&light_pass, &direct, indirect.as_ref())?;
         seconds[1].1 += start.elapsed().as_secs_f64();
         match &mut frame {
             None => (frame, pixel_rays) = (Some(lit), rays),
@@ -265,7 +265,7 @@ fn draw(
             Some(_) => sum.iter_mut().zip(lit.color).for_each(|(sum, color)| *sum += color),
         }
         if pass == 0 {
-            centre = Some((buffer, known, indirect));
+            centre = Some((buffer, direct, indirect));
         }
     }
     let mut frame = frame.expect("at least one pass");

@@ -212,8 +212,14 @@ def _pieces(geometry: MeshLike, name: str) -> list[_Piece]:
         return _from_file(geometry)
     if isinstance(geometry, Mesh):
         faces = geometry.faces.astype(np.int64)
-        looks = (geometry.uv, list(geometry.parts), geometry.chord_error, geometry.vertex_colors, geometry.face_colors)
-        return [_Piece(geometry.vertices, faces, *looks)]
+        properties = (
+            geometry.uv,
+            list(geometry.parts),
+            geometry.chord_error,
+            geometry.vertex_colors,
+            geometry.face_colors,
+        )
+        return [_Piece(geometry.vertices, faces, *properties)]
     if is_cloud(geometry):
         raise MeshError(f"{name}: is a cloud of points, which has no triangles; use fb.solid(cloud) first")
     if hasattr(geometry, "graph") and hasattr(geometry, "geometry"):
@@ -408,8 +414,8 @@ def _from_trimesh(mesh: Any, name: str = "", document: Document | None = None) -
     vertices = np.asarray(check_vertices(mesh.vertices))
     faces = check_faces(mesh.faces)
     visual = getattr(mesh, "visual", None)
-    looks: dict[str, Any] = {} if document is None else document.read(mesh)
-    uv = looks.pop("uv", None)
+    properties: dict[str, Any] = {} if document is None else document.read(mesh)
+    uv = properties.pop("uv", None)
     if uv is None:
         uv = getattr(visual, "uv", None)
     if uv is not None and np.shape(uv)[:1] == (len(vertices),) and np.ndim(uv) == 2:
@@ -421,8 +427,8 @@ def _from_trimesh(mesh: Any, name: str = "", document: Document | None = None) -
         uv = None
     vertex_colors, face_colors = _colors(visual, len(vertices), len(faces))
     if document is not None:
-        vertex_colors = looks.pop("colors")
-    part = _part(getattr(visual, "material", None), name, len(faces), looks)
+        vertex_colors = properties.pop("colors")
+    part = _part(getattr(visual, "material", None), name, len(faces), properties)
     all_colors = [colors for colors in (vertex_colors, face_colors) if colors is not None]
     if document is None and any((colors[:, 3] < 1).any() for colors in all_colors):
         part.alpha_mode = "blend"
@@ -445,16 +451,16 @@ def _colors(visual: Any, vertices: int, faces: int) -> tuple[NDArray[np.float32]
     return None, None
 
 
-def _part(material: Any, name: str, faces: int, looks: dict[str, Any]) -> Part:
-    """Convert either kind of trimesh material to a part; `looks` holds the properties that trimesh does not read."""
+def _part(material: Any, name: str, faces: int, properties: dict[str, Any]) -> Part:
+    """Convert either kind of trimesh material to a part; `properties` are not read by trimesh."""
     if material is None:
         return Part(name, range(faces))
-    own_name = looks.pop("name", None) if "name" in looks else getattr(material, "name", None)
-    if not looks:
+    own_name = properties.pop("name", None) if "name" in properties else getattr(material, "name", None)
+    if not properties:
         emission = getattr(material, "emissiveFactor", None)
         if emission is not None:
-            looks["emission"] = tuple(np.asarray(emission, dtype=np.float64).tolist())
-            looks["emission_image"] = getattr(material, "emissiveTexture", None)
+            properties["emission"] = tuple(np.asarray(emission, dtype=np.float64).tolist())
+            properties["emission_image"] = getattr(material, "emissiveTexture", None)
     image = getattr(material, "baseColorTexture", None)
     if image is None:
         image = getattr(material, "image", None)
@@ -466,12 +472,12 @@ def _part(material: Any, name: str, faces: int, looks: dict[str, Any]) -> Part:
     return Part(
         str(own_name or name),
         range(faces),
-        color=looks.pop("color", None) or _rgba(color),
+        color=properties.pop("color", None) or _rgba(color),
         image=image,
         alpha_mode=mode if mode in ALPHA_MODES else "opaque",
         alpha_cutoff=0.5 if cutoff is None else float(cutoff),
         two_sided=bool(getattr(material, "doubleSided", None)),
-        **looks,
+        **properties,
     )
 
 

@@ -314,8 +314,8 @@ class Mesh(Viewable, Sectioned):
     def __reduce__(self) -> tuple[Any, ...]:
         if not len(self.faces):
             return Mesh._extracted, (self.vertices, self.faces, self._report)
-        looks = (self._uv, self._vertex_colors, self._input_face_colors)
-        return restore, (*self._core.state(), *looks, self._parts, self._part_rows, self._chord_error)
+        visuals = (self._uv, self._vertex_colors, self._input_face_colors)
+        return restore, (*self._core.state(), *visuals, self._parts, self._part_rows, self._chord_error)
 
     def _sections(self, planes: list[NDArray[np.float64]]) -> list[Section]:
         return mesh_sections(self.vertices, self.faces, planes)

@@ -139,8 +139,8 @@ class Part:
         return {name: value for name, value in self.__dict__.items() if name not in DECODED}
 
     def __repr__(self) -> str:
-        looks = "textured" if self._image is not None else "color " + ", ".join(f"{c:.3g}" for c in self.color)
-        return f"Part('{self.name}', {len(self.faces)} faces, {looks}, {self.alpha_mode})"
+        colors = "textured" if self._image is not None else "color " + ", ".join(f"{c:.3g}" for c in self.color)
+        return f"Part('{self.name}', {len(self.faces)} faces, {colors}, {self.alpha_mode})"
 
 
 def check_parts(value: Any, faces: int) -> tuple[Part, ...]:

@@ -16,7 +16,7 @@ from ..meshes.part import Part
 from . import field_cache
 from .instance import Instance
 from .materials import PLAIN, Material, scattering_rgb
-from .sheets import NO_SHEET, THIN_VOXELS, Look, Sheet, needed_resolution, sheet_of
+from .sheets import NO_SHEET, THIN_VOXELS, Appearance, Sheet, needed_resolution, sheet_of
 
 #: Converted images by the id of their pixels, with the pixels, so that no id is reused.
 Textures = dict[int, tuple[NDArray[np.uint8], _core.Texture]]
@@ -42,22 +42,24 @@ class MaterialTable:
             self.textures.append(self.used[key][1])
         return self._known[key]
 
-    def add(self, material: Material | None, look: Look, is_two_sided: bool) -> None:
+    def add(self, material: Material | None, appearance: Appearance, is_two_sided: bool) -> None:
         """Add one row. `is_two_sided` is used if the material leaves this open."""
         material = material or Material()
         self.materials.append(
             {
-                "color": look.color,
+                "color": appearance.color,
                 "specular": material.specular,
                 "shininess": material.shininess,
-                "alpha_mode": look.alpha_mode,
-                "alpha_cutoff": look.alpha_cutoff,
-                "two_sided": look.two_sided or (is_two_sided and material.two_sided is None),
+                "alpha_mode": appearance.alpha_mode,
+                "alpha_cutoff": appearance.alpha_cutoff,
+                "two_sided": appearance.two_sided or (is_two_sided and material.two_sided is None),
                 "scattering": scattering_rgb(material),
-                "texture": None if look.texture is None else self.texture(look.texture),
-                "emission": look.emission,
-                "emission_texture": None if look.emission_texture is None else self.texture(look.emission_texture),
-                "unlit": look.unlit,
+                "texture": None if appearance.texture is None else self.texture(appearance.texture),
+                "emission": appearance.emission,
+                "emission_texture": None
+                if appearance.emission_texture is None
+                else self.texture(appearance.emission_texture),
+                "unlit": appearance.unlit,
             }
         )
 
@@ -75,7 +77,7 @@ class Rows:
         instance: Instance,
         mesh: _core.SceneMesh | None,
         field: _core.SceneField | None,
-        looks: Sequence[Look],
+        appearances: Sequence[Appearance],
         sheet: Sheet = NO_SHEET,
     ) -> None:
         """Add one instance, with a row of the material table for the appearance of each part."""
@@ -95,8 +97,8 @@ class Rows:
                 "is_solid": sheet.is_solid,
             }
         )
-        for look in looks:
-            self.table.add(instance.material, look, sheet.is_two_sided)
+        for appearance in appearances:
+            self.table.add(instance.material, appearance, sheet.is_two_sided)
 
     def build(self) -> _core.Scene:
         """Make the scene of the core."""
@@ -130,7 +132,7 @@ class SceneBuilder:
         """Make a scene. An object that several instances or scenes share is converted once."""
         rows = Rows(self._textures)
         # Looks by mesh and material.
-        looks_of: dict[tuple[int, int], tuple[list[Look], Sheet]] = {}
+        appearances_of: dict[tuple[int, int], tuple[list[Appearance], Sheet]] = {}
         for number, instance in enumerate(instances):
             geometry = instance.geometry
             if isinstance(geometry, tuple):
@@ -139,27 +141,27 @@ class SceneBuilder:
                 for quadric, field in zip(geometry, self._quadrics[id(geometry)], strict=True):
                     red, green, blue = quadric.reflectance.tolist()
                     part = Part("quadric", color=(red, green, blue, 1.0))
-                    rows.add(number, instance, None, field, [Look.of(instance.material, part)])
+                    rows.add(number, instance, None, field, [Appearance.of(instance.material, part)])
             elif isinstance(geometry, Mesh):
                 # A material with a colour or a texture replaces the colours and the texture of the mesh.
                 material = instance.material
                 keeps_colors = material is None or (material.color is None and material.texture is None)
                 is_colored = keeps_colors and (geometry.vertex_colors is not None or geometry.face_colors is not None)
                 key = id(geometry), id(material)
-                if key not in looks_of:
-                    looks = [Look.of(material, part, is_colored) for part in geometry.parts]
-                    looks_of[key] = looks, self._sheet(geometry, looks)
-                looks, sheet = looks_of[key]
+                if key not in appearances_of:
+                    appearances = [Appearance.of(material, part, is_colored) for part in geometry.parts]
+                    appearances_of[key] = appearances, self._sheet(geometry, appearances)
+                appearances, sheet = appearances_of[key]
                 if fields.of_solids and not sheet.is_traced:
                     sheet = self._with_thin_walls(number, instance, sheet, fields)
                 is_baked = fields.of_sheets if sheet.is_traced and not _scatters(material) else fields.of_solids
-                baked = self._baked(geometry, instance.resolution, device, looks, sheet) if is_baked else None
-                rows.add(number, instance, self._mesh(geometry, is_colored), baked, looks, sheet)
+                baked = self._baked(geometry, instance.resolution, device, appearances, sheet) if is_baked else None
+                rows.add(number, instance, self._mesh(geometry, is_colored), baked, appearances, sheet)
             else:
-                looks = [Look.of(instance.material, Part(color=PLAIN))]
+                appearances = [Appearance.of(instance.material, Part(color=PLAIN))]
                 if id(geometry) not in self._fields:
                     self._fields[id(geometry)] = field_cache.of_geometry(geometry)
-                rows.add(number, instance, None, self._fields[id(geometry)], looks)
+                rows.add(number, instance, None, self._fields[id(geometry)], appearances)
         if self._first is None:
             self._first = rows.table.used
         self._textures = self._first | rows.table.used
@@ -172,12 +174,18 @@ class SceneBuilder:
             self._meshes[key] = _core.SceneMesh(mesh._core, mesh.uv, _materials_of(mesh), *colors)
         return self._meshes[key]
 
-    def _sheet(self, mesh: Mesh, looks: Sequence[Look]) -> Sheet:
-        if any(look.texture is not None and look.alpha_mode != "opaque" for look in looks):
-            return sheet_of(mesh, looks)
-        key = id(mesh), tuple((look.alpha_mode, look.alpha_cutoff, look.two_sided, look.color[3]) for look in looks)
+    def _sheet(self, mesh: Mesh, appearances: Sequence[Appearance]) -> Sheet:
+        if any(appearance.texture is not None and appearance.alpha_mode != "opaque" for appearance in appearances):
+            return sheet_of(mesh, appearances)
+        key = (
+            id(mesh),
+            tuple(
+                (appearance.alpha_mode, appearance.alpha_cutoff, appearance.two_sided, appearance.color[3])
+                for appearance in appearances
+            ),
+        )
         if key not in self._sheets:
-            self._sheets[key] = sheet_of(mesh, looks)
+            self._sheets[key] = sheet_of(mesh, appearances)
         return self._sheets[key]
 
     def _with_thin_walls(self, number: int, instance: Instance, sheet: Sheet, fields: Fields) -> Sheet:
@@ -199,13 +207,15 @@ class SceneBuilder:
             )
         return sheet._replace(is_traced=True)
 
-    def _baked(self, mesh: Mesh, resolution: int, device: str, looks: Sequence[Look], sheet: Sheet) -> _core.SceneField:
-        if any(look.alpha_mode == "mask" for look in looks):
-            return field_cache.of_mesh(mesh, resolution, device, looks)
+    def _baked(
+        self, mesh: Mesh, resolution: int, device: str, appearances: Sequence[Appearance], sheet: Sheet
+    ) -> _core.SceneField:
+        if any(appearance.alpha_mode == "mask" for appearance in appearances):
+            return field_cache.of_mesh(mesh, resolution, device, appearances)
         # Without masks the field covers the whole mesh.
         key = id(mesh), resolution, sheet.is_traced
         if key not in self._fields:
-            self._fields[key] = field_cache.of_mesh(mesh, resolution, device, looks)
+            self._fields[key] = field_cache.of_mesh(mesh, resolution, device, appearances)
         return self._fields[key]
 
 

@@ -32,7 +32,7 @@ from ..shapes.quadric import Quadric, rows_of
 from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume
-from .sheets import FLAT, Look, sheet_of
+from .sheets import FLAT, Appearance, sheet_of
 
 #: Memory limit of the fields, bytes. The least recently used field is dropped first.
 MEMORY_BYTES = 1 << 30
@@ -96,14 +96,16 @@ def clear() -> None:
         _kept.clear()
 
 
-def of_mesh(mesh: Mesh, resolution: int, device: str, looks: Sequence[Look] | None = None) -> _core.SceneField:
-    """Field of a mesh, baked at its first use. `looks` has the appearance of each part; None means the part's own."""
-    key = ("mesh", content_hash(mesh, resolution, looks))
+def of_mesh(
+    mesh: Mesh, resolution: int, device: str, appearances: Sequence[Appearance] | None = None
+) -> _core.SceneField:
+    """Field of a mesh, baked at its first use. `appearances` has one for each part, by default its own."""
+    key = ("mesh", content_hash(mesh, resolution, appearances))
     found = _find(key)
     if found is None:
         volume = _from_disk(key[1])
         if volume is None:
-            volume = bake_for_scene(mesh, resolution, device, looks)
+            volume = bake_for_scene(mesh, resolution, device, appearances)
             _to_disk(key[1], volume)
         found = _keep(key, _field(volume), volume.nbytes, None)
     return found
@@ -156,15 +158,15 @@ def of_quadrics(quadrics: Sequence[Quadric]) -> list[_core.SceneField]:
     return _core.SceneField.quadrics(rows_of(quadrics))
 
 
-def content_hash(mesh: Mesh, resolution: int, looks: Sequence[Look] | None = None) -> str:
+def content_hash(mesh: Mesh, resolution: int, appearances: Sequence[Appearance] | None = None) -> str:
     """Hash of all inputs that determine the field of a mesh."""
-    looks = _looks(mesh, looks)
+    appearances = _appearances(mesh, appearances)
     digest = hashlib.blake2b(digest_size=20)
-    digest.update(f"{_core.__version__} {resolution} {sheet_of(mesh, looks).is_traced}".encode())
+    digest.update(f"{_core.__version__} {resolution} {sheet_of(mesh, appearances).is_traced}".encode())
     for array in (mesh.vertices, mesh.faces, mesh.center):
         digest.update(np.ascontiguousarray(array).tobytes())
-    for part, look in zip(mesh.parts, looks, strict=True):
-        mask = look.mask
+    for part, appearance in zip(mesh.parts, appearances, strict=True):
+        mask = appearance.mask
         digest.update(f"{part.faces} {None if mask is None else mask.shape}".encode())
         if mask is not None and mesh.uv is not None:
             digest.update(np.packbits(mask).tobytes())
@@ -172,11 +174,13 @@ def content_hash(mesh: Mesh, resolution: int, looks: Sequence[Look] | None = Non
     return digest.hexdigest()
 
 
-def bake_for_scene(mesh: Mesh, resolution: int, device: str = "auto", looks: Sequence[Look] | None = None) -> Volume:
+def bake_for_scene(
+    mesh: Mesh, resolution: int, device: str = "auto", appearances: Sequence[Appearance] | None = None
+) -> Volume:
     """Bake a mesh for a scene: masked texels are cut out, sheets get a thickness, solids are baked unchanged."""
-    looks = _looks(mesh, looks)
-    if sheet_of(mesh, looks).is_traced:
-        masks = [look.mask for look in looks]
+    appearances = _appearances(mesh, appearances)
+    if sheet_of(mesh, appearances).is_traced:
+        masks = [appearance.mask for appearance in appearances]
         axis = _flat_axis(mesh.bounds)
         if axis is not None and all(mask is None for mask in masks):
             return _bake_plate(mesh, axis, resolution, device)
@@ -188,8 +192,8 @@ def bake_for_scene(mesh: Mesh, resolution: int, device: str = "auto", looks: Seq
     return volume
 
 
-def _looks(mesh: Mesh, looks: Sequence[Look] | None) -> Sequence[Look]:
-    return [Look.of(None, part) for part in mesh.parts] if looks is None else looks
+def _appearances(mesh: Mesh, appearances: Sequence[Appearance] | None) -> Sequence[Appearance]:
+    return [Appearance.of(None, part) for part in mesh.parts] if appearances is None else appearances
 
 
 def _flat_axis(bounds: NDArray[np.float64]) -> int | None:

@@ -38,7 +38,7 @@ THIN_SHARE = 0.003
 THIN_SHARE_OPEN = 0.02
 
 
-class Look(NamedTuple):
+class Appearance(NamedTuple):
     """The appearance of a part of a mesh under the material of its instance."""
 
     color: Sequence[float]
@@ -51,7 +51,7 @@ class Look(NamedTuple):
     unlit: bool
 
     @classmethod
-    def of(cls, material: Material | None, part: Part, is_colored: bool = False) -> Look:
+    def of(cls, material: Material | None, part: Part, is_colored: bool = False) -> Appearance:
         """Combine a material with a part. `is_colored` states that the mesh has colours of its vertices or faces."""
         material = material or Material()
         color: Sequence[float] = part.color
@@ -108,20 +108,22 @@ class Sheet(NamedTuple):
 NO_SHEET = Sheet(is_traced=False, is_two_sided=False, is_solid=True)
 
 
-def sheet_of(mesh: Mesh, looks: Sequence[Look]) -> Sheet:
+def sheet_of(mesh: Mesh, appearances: Sequence[Appearance]) -> Sheet:
     """Decide whether a mesh whose parts have these appearances is a sheet."""
     is_flat = _is_flat(mesh)
-    is_masked = any(look.mask is not None for look in looks)
+    is_masked = any(appearance.mask is not None for appearance in appearances)
     is_open = not is_flat and not mesh.topology()["closed"]
-    is_two_sided = any(look.two_sided for look in looks)
+    is_two_sided = any(appearance.two_sided for appearance in appearances)
     if is_flat or is_masked or (is_open and is_two_sided):
         return Sheet(True, True)
-    translucent = [look for look in looks if look.alpha_mode == "blend" and look.opacity.min() < 1]
+    translucent = [
+        appearance for appearance in appearances if appearance.alpha_mode == "blend" and appearance.opacity.min() < 1
+    ]
     # A single opacity of a whole solid is the opacity of its field.
     is_uniform = (
-        len(translucent) == len(looks)
-        and len({look.color[3] for look in looks}) == 1
-        and all(look.texture is None for look in looks)
+        len(translucent) == len(appearances)
+        and len({appearance.color[3] for appearance in appearances}) == 1
+        and all(appearance.texture is None for appearance in appearances)
     )
     is_translucent = bool(translucent) and (is_open or is_two_sided or not is_uniform)
     is_traced = is_translucent or (is_open and _net_area_share(mesh) > SHEET_SHARE)

@@ -38,7 +38,7 @@ from ..scenes.lights import (
 )
 from ..scenes.materials import PLAIN, SHININESS, SPECULAR, Material
 from ..scenes.scene import Scene
-from ..scenes.sheets import Look
+from ..scenes.sheets import Appearance
 from ..scenes.surroundings import mean_of
 from ..shapes.quadric import Quadric
 from ..shapes.shape import Shape
@@ -66,7 +66,7 @@ MOST_STEPS = 64
 
 @dataclass
 class Placed:
-    """A field with its place and its look."""
+    """A field with its place and its appearance."""
 
     record: Record
     world_from_object: NDArray[np.float64]
@@ -327,8 +327,8 @@ def _field_of(instance: Instance) -> list[Any]:
     """The fields of an instance; a mesh has the one of its shadows."""
     geometry = instance.geometry
     if isinstance(geometry, Mesh):
-        looks = [Look.of(instance.material, part) for part in geometry.parts]
-        return [field_cache.bake_for_scene(geometry, instance.resolution, looks=looks)]
+        appearances = [Appearance.of(instance.material, part) for part in geometry.parts]
+        return [field_cache.bake_for_scene(geometry, instance.resolution, appearances=appearances)]
     if isinstance(geometry, AtlasEntry):
         return [geometry.to_volume()]
     if isinstance(geometry, tuple):
@@ -357,18 +357,18 @@ def _placed(instance: Instance, number: int, geometry: Any, record: Record) -> P
     else:
         red, green, blue = record.color or PLAIN[:3]
         part = Part("own", color=(red, green, blue, 1.0))
-    look = Look.of(instance.material, part)
-    flags = records.VISIBLE * instance.visible | records.UNLIT * look.unlit
+    appearance = Appearance.of(instance.material, part)
+    flags = records.VISIBLE * instance.visible | records.UNLIT * appearance.unlit
     # A shadow in the view is whole: half or more of the light is kept.
     flags |= records.CASTS * (instance.casts_shadow and instance.opacity >= 0.5)
     return Placed(
         record,
         np.asarray(instance.transform, dtype=np.float64),
-        look.color[:3],
+        appearance.color[:3],
         type(geometry).__name__,
         specular=material.specular,
         shininess=material.shininess,
-        emission=look.emission,
+        emission=appearance.emission,
         flags=flags,
         number=number,
     )

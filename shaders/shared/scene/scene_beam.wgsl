@@ -29,7 +29,7 @@ struct Beam {
     owner: u32,
 }
 
-struct Answer {
+struct BeamResult {
     // Fraction that passes, or a length inside.
     value: f32,
     // 1 if a cone decides the disc of a light, DIVIDED if the parts of the disc do.

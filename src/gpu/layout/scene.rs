@@ -65,7 +65,7 @@ gpu_structs! {
     }
 
     /// `shaders/shared/scene/scene_beam.wgsl`.
-    "scene_beams": struct Answer {
+    "scene_beams": struct BeamResult {
         value: f32,
         is_proven: u32,
         steps: u32,

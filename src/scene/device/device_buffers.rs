@@ -5,7 +5,7 @@ use crate::gpu::Context;
 use crate::gpu::buffer::ReadBack;
 use crate::gpu::constants::scene_beam::{CUT_BEAMS, CUT_NODES};
 use crate::gpu::constants::scene_counts::{BEAMS_FIT, COUNTS, DISCS_FIT, PARTS, STAGES, STRIDE};
-use crate::gpu::layout::{Answer, Beam, BeamParams, SurfaceParams};
+use crate::gpu::layout::{Beam, BeamParams, BeamResult, SurfaceParams};
 use crate::gpu::pipeline::BindGroups;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -30,16 +30,16 @@ pub(crate) struct Buffers {
     pub beams: wgpu::Buffer,
     /// Cuts of the scene's tree for the beams.
     pub cuts: wgpu::Buffer,
-    pub answers: wgpu::Buffer,
+    pub beam_results: wgpu::Buffer,
     /// Beams whose discs are divided.
     pub discs: wgpu::Buffer,
     pub parts: wgpu::Buffer,
-    pub part_answers: wgpu::Buffer,
+    pub part_results: wgpu::Buffer,
     pub edges: wgpu::Buffer,
     /// Number of beams, of discs and of answers that fit.
     pub beams_fit: u32,
     pub discs_fit: u32,
-    answers_fit: u64,
+    results_fit: u64,
     /// Memory for the answers on the host; a picture in progress takes it out.
     result: Mutex<Option<ReadBack>>,
     /// The parameters in the memory of the stages.
@@ -49,23 +49,28 @@ pub(crate) struct Buffers {
 impl LightBuffers {
     /// The buffers for a number of answers in the memory of a device. Smaller ones, and all of `groups`, are released
     /// before larger ones are made.
-    pub(crate) fn on(&self, context: &Context, groups: &BindGroups, answers: u64) -> Result<Arc<Buffers>, DeviceError> {
+    pub(crate) fn on(
+        &self,
+        context: &Context,
+        groups: &BindGroups,
+        beam_results: u64,
+    ) -> Result<Arc<Buffers>, DeviceError> {
         let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(buffers) = kept.as_ref().filter(|buffers| buffers.answers_fit >= answers) {
+        if let Some(buffers) = kept.as_ref().filter(|buffers| buffers.results_fit >= beam_results) {
             return Ok(buffers.clone());
         }
         *kept = None;
         groups.clear();
-        let buffers = Arc::new(Buffers::new(context, answers)?);
+        let buffers = Arc::new(Buffers::new(context, beam_results)?);
         *kept = Some(buffers.clone());
         Ok(buffers)
     }
 }
 
 impl Buffers {
-    fn new(context: &Context, answers: u64) -> Result<Self, DeviceError> {
+    fn new(context: &Context, beam_results: u64) -> Result<Self, DeviceError> {
         let storage = |label: &str, items: u32, size: usize| context.storage(label, u64::from(items) * size as u64);
-        let beams_fit = answers.min(u64::from(MOST_BEAMS)) as u32;
+        let beams_fit = beam_results.min(u64::from(MOST_BEAMS)) as u32;
         let discs_fit = beams_fit.min(MOST_DISCS);
         let mut counts = [0; COUNTS as usize];
         counts[BEAMS_FIT as usize] = beams_fit;
@@ -77,14 +82,14 @@ impl Buffers {
             params: context.written_by_kernels("parameters of stages", u64::from(STAGES) * STAGE_BYTES)?,
             beams: storage("beams", beams_fit, size_of::<Beam>())?,
             cuts: storage("cuts of the scene's tree", CUT_NODES * beams_fit.div_ceil(CUT_BEAMS), size_of::<u32>())?,
-            answers: context.storage("answers", answers * size_of::<Answer>() as u64)?,
+            beam_results: context.storage("beam results", beam_results * size_of::<BeamResult>() as u64)?,
             discs: storage("divided discs", beams_fit, size_of::<u32>())?,
             parts: storage("parts of discs", PARTS * discs_fit, size_of::<Beam>())?,
-            part_answers: storage("answers of parts", PARTS * discs_fit, size_of::<Answer>())?,
+            part_results: storage("results of parts", PARTS * discs_fit, size_of::<BeamResult>())?,
             edges: storage("cones at edges", PARTS * discs_fit, size_of::<Beam>())?,
             beams_fit,
             discs_fit,
-            answers_fit: answers,
+            results_fit: beam_results,
             result: Mutex::default(),
             beam_params: Mutex::default(),
         })
@@ -109,7 +114,7 @@ impl Buffers {
     pub(crate) fn result(&self, context: &Context) -> Result<ReadBack, DeviceError> {
         match self.kept_result().take() {
             Some(result) => Ok(result),
-            None => context.read_back("answers", self.answers.size()),
+            None => context.read_back("beam results", self.beam_results.size()),
         }
     }
 

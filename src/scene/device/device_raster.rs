@@ -20,7 +20,7 @@ use crate::scene::content::instance::Instance;
 use crate::scene::content::material::Material;
 use crate::scene::content::model::Scene;
 use crate::scene::content::options::{Primary, RenderOptions};
-use crate::scene::visibility::gbuffer::{DeviceSeen, GBuffer, Layer, View};
+use crate::scene::visibility::gbuffer::{DeviceVisibility, GBuffer, Layer, View};
 use crate::scene::visibility::pixel_ray::{PixelRay, as_triangles, draw_row, is_opaque};
 use glam::{DAffine3, DMat3, DVec3};
 use rayon::prelude::*;
@@ -32,7 +32,7 @@ use std::sync::PoisonError;
 pub(crate) fn left_over(scene: &Scene, device: &DeviceScene, options: &RenderOptions) -> Option<Vec<bool>> {
     let needs_cpu = |(i, instance): (usize, &Instance)| {
         instance.visible
-            && (!is_drawn(instance, device.knows(i), &scene.materials, options.primary)
+            && (!is_drawn(instance, device.has_field(i), &scene.materials, options.primary)
                 || as_triangles(instance, options.primary)
                     && instance.own_materials(&scene.materials).iter().any(|m| !is_opaque(instance, m)))
     };
@@ -41,11 +41,11 @@ pub(crate) fn left_over(scene: &Scene, device: &DeviceScene, options: &RenderOpt
 }
 
 /// Whether a device draws an instance, or at least its opaque faces.
-fn is_drawn(instance: &Instance, is_known: bool, materials: &[Material], primary: Primary) -> bool {
+fn is_drawn(instance: &Instance, is_evaluated: bool, materials: &[Material], primary: Primary) -> bool {
     if as_triangles(instance, primary) {
         instance.opacity >= 1.0 && !instance.has_colored_mask
     } else {
-        is_known && instance.field.is_some() && is_opaque(instance, &materials[instance.first_material as usize])
+        is_evaluated && instance.field.is_some() && is_opaque(instance, &materials[instance.first_material as usize])
     }
 }
 
@@ -65,12 +65,12 @@ pub(crate) fn draw(
     let left_over = left_over(scene, device, options);
     let [width, height] = options.size;
     let band = (BAND_PIXELS / width).clamp(1, height);
-    let mut buffer = GBuffer { rows: Vec::new(), steps: Vec::new(), view, seen: None };
+    let mut buffer = GBuffer { rows: Vec::new(), steps: Vec::new(), view, visible: None };
     for first in (0..height).step_by(band as usize) {
         let count = band.min(height - first);
-        let (seen, on_device) = seen_by_device(scene, device, &view, options, first, count, progress)?;
-        buffer.seen = Some(on_device).filter(|_| band == height);
-        let rows: Vec<_> = seen
+        let (visible, on_device) = visible_on_device(scene, device, &view, options, first, count, progress)?;
+        buffer.visible = Some(on_device).filter(|_| band == height);
+        let rows: Vec<_> = visible
             .par_chunks_exact(width as usize)
             .enumerate()
             .map(|(i, pixels)| {
@@ -96,8 +96,8 @@ const RAN_OUT: u32 = 2;
 const IS_TRIANGLE: u32 = u32::MAX;
 
 /// The layers of a pixel, from the values that the device returned.
-fn resolve<'a>(ray: &mut PixelRay<'a>, seen: [u32; 4], left_over: Option<&'a [bool]>, layers: &mut Vec<Layer>) {
-    let [item, word, depth, steps] = seen;
+fn resolve<'a>(ray: &mut PixelRay<'a>, visible: [u32; 4], left_over: Option<&'a [bool]>, layers: &mut Vec<Layer>) {
+    let [item, word, depth, steps] = visible;
     let behind = match item.checked_sub(1) {
         None => None,
         Some(item) => {
@@ -139,7 +139,7 @@ fn resolve<'a>(ray: &mut PixelRay<'a>, seen: [u32; 4], left_over: Option<&'a [bo
 /// 2      row of the draw               depth in scene units, bits of a float32
 /// 3      IS_TRIANGLE                   number of steps
 /// ```
-fn seen_by_device(
+fn visible_on_device(
     scene: &Scene,
     device: &DeviceScene,
     view: &View,
@@ -147,7 +147,7 @@ fn seen_by_device(
     first_row: u32,
     row_count: u32,
     progress: &Progress,
-) -> Result<(Vec<[u32; 4]>, DeviceSeen), Error> {
+) -> Result<(Vec<[u32; 4]>, DeviceVisibility), Error> {
     let context = device.context();
     let band = RowBand::new(scene, view, first_row, row_count);
     let meshes = device.meshes();
@@ -157,7 +157,7 @@ fn seen_by_device(
         .iter()
         .enumerate()
         .filter(|(i, instance)| {
-            instance.visible && is_drawn(instance, device.knows(*i), &scene.materials, options.primary)
+            instance.visible && is_drawn(instance, device.has_field(*i), &scene.materials, options.primary)
         })
         .map(|(i, instance)| {
             let triangles = instance.triangles.as_ref().filter(|_| as_triangles(instance, options.primary));
@@ -197,10 +197,10 @@ fn seen_by_device(
         Some(target) => target,
         None => context.raster_target("primary", size)?,
     };
-    let seen = context.raster("primary", &target, &draws, device.timer.as_ref(), progress)?;
+    let visible = context.raster("primary", &target, &draws, device.timer.as_ref(), progress)?;
     let (pixels, stride) = target.pixels();
     memory.target = Some(target);
-    Ok((seen, DeviceSeen { pixels, stride, rows: rows_buffer, rays: band.ray }))
+    Ok((visible, DeviceVisibility { pixels, stride, rows: rows_buffer, rays: band.ray }))
 }
 
 /// Depth before and behind the scene that the depth buffer of parallel rays includes, scene units. It is more than the

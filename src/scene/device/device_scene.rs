@@ -11,7 +11,7 @@ use crate::geometry::Aabb;
 use crate::gpu::Context;
 use crate::gpu::constants::scene_beam::{ROOT, ROOT_WITHOUT_OWN};
 use crate::gpu::constants::scene_occluders::{CASTS_FOR_ALL, CASTS_FOR_CONES, CASTS_NOTHING};
-use crate::gpu::layout::{Answer, Beam, BeamParams, RasterInstance, SceneInstance, SceneNode};
+use crate::gpu::layout::{Beam, BeamParams, BeamResult, RasterInstance, SceneInstance, SceneNode};
 use crate::gpu::pace::in_groups_from;
 use crate::gpu::pipeline::{AnyPipeline, BindGroups, BoundRange, Dispatch, DispatchSize, whole};
 use crate::gpu::raster::RasterTarget;
@@ -55,7 +55,7 @@ pub(crate) struct DeviceScene {
     meshes: DeviceMeshes,
     pub(crate) light: LightBuffers,
     /// For each instance and then each level of the far field: whether the device has its field, or it has none.
-    knows: Vec<bool>,
+    has_field: Vec<bool>,
     /// Numbers of workgroups with which the kernels of beams start, by entry point.
     paces: Mutex<HashMap<&'static str, u64>>,
     /// Time for the light on a face by one light, s, by whether a picture has cones and whether it has rays.
@@ -92,7 +92,7 @@ impl RasterMemory {
 /// The fields of a scene in device memory.
 struct Fields {
     /// Fields by address, each with its record; None if devices do not support it.
-    known: HashMap<usize, (Arc<dyn Field>, Option<u32>)>,
+    by_address: HashMap<usize, (Arc<dyn Field>, Option<u32>)>,
     records: wgpu::Buffer,
     samples: wgpu::Buffer,
     blocks: wgpu::Buffer,
@@ -103,15 +103,15 @@ struct Fields {
 impl Fields {
     fn upload(context: &Context, scene: &Scene, far: Option<&Far>) -> Result<Self, Error> {
         let mut tables = DeviceFields::new(context);
-        let mut known = HashMap::new();
+        let mut by_address = HashMap::new();
         for field in fields_of(scene, far) {
-            if let Entry::Vacant(new) = known.entry(address(field)) {
+            if let Entry::Vacant(new) = by_address.entry(address(field)) {
                 let place = tables.records.len() as u32;
                 new.insert((field.clone(), field.enter(&mut tables)?.then_some(place)));
             }
         }
         Ok(Self {
-            known,
+            by_address,
             records: context.upload("scene fields", &tables.records)?,
             samples: context.upload("samples of scene fields", &tables.samples)?,
             blocks: context.upload("scene blocks", &tables.words())?,
@@ -126,7 +126,7 @@ impl Fields {
         let of_far = levels.iter().map(|level| (&level.instance, &level.bounds, level.voxel));
         let balls = scene.balls();
         let row = |(i, (instance, bounds, voxel)): (usize, (&Instance, &Aabb, f64))| {
-            let record = instance.field.as_ref().and_then(|field| self.known[&address(field)].1);
+            let record = instance.field.as_ref().and_then(|field| self.by_address[&address(field)].1);
             let row = instance_row(instance, bounds, record.unwrap_or(0));
             let surface_radius = balls.get(i).map_or(row.surface_radius, |ball| ball.field_radius);
             let row = SceneInstance { voxel: voxel as f32, surface_radius, ..row };
@@ -150,7 +150,7 @@ fn address(field: &Arc<dyn Field>) -> usize {
 impl DeviceScene {
     pub(crate) fn upload(context: &Arc<Context>, scene: &Scene, far: Option<&Far>) -> Result<Self, Error> {
         let fields = Fields::upload(context, scene, far)?;
-        let (rows, knows) = fields.rows(scene, far);
+        let (rows, has_field) = fields.rows(scene, far);
         Ok(Self {
             context: context.clone(),
             nodes: Table::new(context, "scene tree", scene.tree.device_nodes())?,
@@ -159,7 +159,7 @@ impl DeviceScene {
             fields,
             meshes: DeviceMeshes::upload(context, scene)?,
             light: LightBuffers::default(),
-            knows,
+            has_field,
             paces: Mutex::default(),
             light_rates: Mutex::default(),
             groups: BindGroups::default(),
@@ -173,14 +173,14 @@ impl DeviceScene {
     /// memory; else they are uploaded again. Only rows that differ are uploaded.
     pub(crate) fn update(&mut self, scene: &Scene, far: Option<&Far>) -> Result<(), Error> {
         let context = &self.context;
-        if !fields_of(scene, far).all(|field| self.fields.known.contains_key(&address(field))) {
+        if !fields_of(scene, far).all(|field| self.fields.by_address.contains_key(&address(field))) {
             self.groups.clear();
             self.fields = Fields::upload(context, scene, far)?;
             self.paces = Mutex::default();
             self.light_rates = Mutex::default();
         }
-        let (rows, knows) = self.fields.rows(scene, far);
-        self.knows = knows;
+        let (rows, has_field) = self.fields.rows(scene, far);
+        self.has_field = has_field;
         self.instances.set(context, rows)?;
         self.nodes.set(context, scene.tree.device_nodes())?;
         if self.meshes.update(context, scene)? {
@@ -194,13 +194,13 @@ impl DeviceScene {
     }
 
     /// Whether the device has the fields of all instances, so that it can light them.
-    pub(crate) fn knows_all(&self) -> bool {
-        !self.knows.contains(&false)
+    pub(crate) fn has_all_fields(&self) -> bool {
+        !self.has_field.contains(&false)
     }
 
     /// Whether the device has the field of an instance, if the instance has one.
-    pub(crate) fn knows(&self, instance: usize) -> bool {
-        self.knows[instance]
+    pub(crate) fn has_field(&self, instance: usize) -> bool {
+        self.has_field[instance]
     }
 
     /// Overrides of imported files for the kinds of its objects.
@@ -251,49 +251,51 @@ impl DeviceScene {
         has_wide: bool,
         beams: &[Beam],
         progress: &Progress,
-    ) -> Result<Vec<Answer>, Error> {
+    ) -> Result<Vec<BeamResult>, Error> {
         let params = Self::beam_params(casters);
         let cases = BeamCases { has_far: casters.far.is_some(), has_wide };
-        let mut answers = vec![Answer::default(); beams.len()];
+        let mut beam_results = vec![BeamResult::default(); beams.len()];
         let is_cone = |i: usize| beams[i].slope > 0.0;
-        type Wanted<'a> = &'a dyn Fn(usize, &Answer) -> bool;
-        let kernels: [(_, Wanted<'_>); 3] = [
+        type Selection<'a> = &'a dyn Fn(usize, &BeamResult) -> bool;
+        let kernels: [(_, Selection<'_>); 3] = [
             ("rays", &|i, _| !is_cone(i)),
             ("cones", &|i, _| is_cone(i)),
-            ("edge_cones", &|_, answer| answer.is_complete == NEEDS_EDGE),
+            ("edge_cones", &|_, beam_result| beam_result.is_complete == NEEDS_EDGE),
         ];
-        for (entry, is_wanted) in kernels {
-            let places: Vec<usize> = (0..beams.len()).filter(|&i| is_wanted(i, &answers[i])).collect();
+        for (entry, is_selected) in kernels {
+            let places: Vec<usize> = (0..beams.len()).filter(|&i| is_selected(i, &beam_results[i])).collect();
             let selected: Vec<Beam> = places.iter().map(|&i| beams[i]).collect();
-            for (i, answer) in places.into_iter().zip(self.evaluate(entry, cases, params, &selected, progress)?) {
-                answers[i] = answer;
+            for (i, beam_result) in places.into_iter().zip(self.evaluate(entry, cases, params, &selected, progress)?) {
+                beam_results[i] = beam_result;
             }
         }
-        for (answer, beam) in answers.iter_mut().zip(beams).filter(|(answer, _)| answer.is_complete == 0) {
+        for (beam_result, beam) in
+            beam_results.iter_mut().zip(beams).filter(|(beam_result, _)| beam_result.is_complete == 0)
+        {
             let (place, ray) = from_beam(beam);
             let mut work = LightWork::default();
             if beam.is_coarse == WIDE {
                 let mut occluders = Occluders::default();
                 casters.gather(&place, ray.t_max, &mut occluders);
-                answer.value = casters.wide_share(&place, &ray, &mut occluders, &mut work);
+                beam_result.value = casters.wide_share(&place, &ray, &mut occluders, &mut work);
             } else if beam.slope > 0.0 {
                 let cone = LightCone { place: &place, ray: &ray, slope: beam.slope };
                 if beam.is_coarse == 0 {
                     let whole = casters.whole_cone(cone, &mut Vec::new(), &mut work);
-                    (answer.value, answer.is_proven) = (whole.share, u32::from(whole.is_proven));
+                    (beam_result.value, beam_result.is_proven) = (whole.share, u32::from(whole.is_proven));
                 } else {
-                    answer.value = casters.cone_share(cone, &casters.instances_in(cone), &mut work);
+                    beam_result.value = casters.cone_share(cone, &casters.instances_in(cone), &mut work);
                 }
             } else {
-                answer.value = casters.field_share(&place, &ray, &mut work);
+                beam_result.value = casters.field_share(&place, &ray, &mut work);
             }
-            answer.is_far = work.far_rays;
+            beam_result.is_far = work.far_rays;
         }
-        Ok(answers)
+        Ok(beam_results)
     }
 
     /// The length of each beam inside its own instance.
-    pub(crate) fn thicknesses(&self, beams: &[Beam], progress: &Progress) -> Result<Vec<Answer>, Error> {
+    pub(crate) fn thicknesses(&self, beams: &[Beam], progress: &Progress) -> Result<Vec<BeamResult>, Error> {
         let cases = BeamCases { has_far: false, has_wide: false };
         self.evaluate("thicknesses", cases, BeamParams { far: NO_FAR, ..BeamParams::default() }, beams, progress)
     }
@@ -309,7 +311,7 @@ impl DeviceScene {
         params: BoundRange<'a>,
         cuts: &'a wgpu::Buffer,
         beams: &'a wgpu::Buffer,
-        answers: &'a wgpu::Buffer,
+        beam_results: &'a wgpu::Buffer,
     ) -> Vec<BoundRange<'a>> {
         let scene = [
             (1, self.nodes.buffer()),
@@ -319,7 +321,7 @@ impl DeviceScene {
             (5, &self.fields.samples),
             (6, &self.fields.blocks),
             (7, beams),
-            (8, answers),
+            (8, beam_results),
         ];
         // The layout contains only the buffers that the entry point reads: a thickness needs no tree, and the distance
         // of a dense grid no blocks.
@@ -354,15 +356,15 @@ impl DeviceScene {
         mut params: BeamParams,
         beams: &[Beam],
         progress: &Progress,
-    ) -> Result<Vec<Answer>, Error> {
+    ) -> Result<Vec<BeamResult>, Error> {
         let context = &self.context;
-        let mut answers = vec![Answer::default(); beams.len()];
+        let mut beam_results = vec![BeamResult::default(); beams.len()];
         if beams.is_empty() {
-            return Ok(answers);
+            return Ok(beam_results);
         }
         let beams: Vec<Beam> = beams.iter().zip(0..).map(|(beam, owner)| Beam { owner, ..*beam }).collect();
         let uploaded = context.upload("beams", &beams)?;
-        let found = context.storage("answers", size_of_val(&answers[..]) as u64)?;
+        let found = context.storage("beam results", size_of_val(&beam_results[..]) as u64)?;
         let stage = if entry == "edge_cones" { "edges" } else { entry };
         let uniform = context.uniform("beam parameters", &params)?;
         let kernel = context.kernel_with("scene_beams", entry, &self.beam_texts(cases))?;
@@ -379,8 +381,8 @@ impl DeviceScene {
             Ok(context.submit_all("scene_beams", &[dispatch], None, self.timer.as_ref())?)
         })?;
         paces().insert(entry, size);
-        context.read("answers", &found, &mut answers, progress)?;
-        Ok(answers)
+        context.read("beam results", &found, &mut beam_results, progress)?;
+        Ok(beam_results)
     }
 }
 
@@ -400,8 +402,8 @@ pub(crate) fn beam(place: &SurfacePoint, ray: &LightRay, slope: f32) -> Beam {
 }
 
 /// The cost of a beam.
-pub(crate) fn work_of(answer: &Answer) -> LightWork {
-    LightWork { steps: answer.steps, rays: 1, far_rays: answer.is_far }
+pub(crate) fn work_of(beam_result: &BeamResult) -> LightWork {
+    LightWork { steps: beam_result.steps, rays: 1, far_rays: beam_result.is_far }
 }
 
 fn from_beam(beam: &Beam) -> (SurfacePoint, LightRay) {

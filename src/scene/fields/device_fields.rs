@@ -56,11 +56,11 @@ impl<'a> DeviceFields<'a> {
             return Ok(false);
         };
         let structures = &mut self.kinds.structures;
-        let known = structures.iter().position(|known| *known == body);
-        if known.is_none() && structures.len() == MAX_STRUCTURES {
+        let found = structures.iter().position(|found| *found == body);
+        if found.is_none() && structures.len() == MAX_STRUCTURES {
             return Ok(false);
         }
-        let structure = known.unwrap_or_else(|| {
+        let structure = found.unwrap_or_else(|| {
             structures.push(body);
             structures.len() - 1
         });

@@ -127,7 +127,7 @@ impl ConeSum {
     pub(crate) const NEW: Self = Self { translucent: 1.0, is_proven: true, opaque: Cone::FREE, thin: RayBundle::NEW };
 
     /// Distance from the axis, in radii, within which another instance can change the result.
-    pub(crate) fn x_known(&self, instance: &Instance) -> f32 {
+    pub(crate) fn x_limit(&self, instance: &Instance) -> f32 {
         if instance.is_opaque_solid() { self.opaque.x } else { 1.0 }
     }
 
@@ -250,7 +250,7 @@ impl ConeWalk<'_> {
         (share * free).max(self.least_step)
     }
 
-    /// The smallest clearance of the axis in radii, at most `x_known`. If the axis enters the object, returns the
+    /// The smallest clearance of the axis in radii, at most `x_limit`. If the axis enters the object, returns the
     /// position of the entry as an error.
     ///
     /// Steps of the whole distance or less cannot cross the surface. The shortest step, half a voxel, may cross a thin
@@ -258,11 +258,11 @@ impl ConeWalk<'_> {
     /// where values may exceed the distance, it does so from the start.
     pub(crate) fn beside(
         &self,
-        x_known: f32,
+        x_limit: f32,
         steps: &mut u32,
         mut hit_from: impl FnMut(f32) -> Option<f32>,
     ) -> Result<f32, f32> {
-        let (mut x, mut is_free) = (x_known, false);
+        let (mut x, mut is_free) = (x_limit, false);
         let (mut t, mut step) = (self.enter, 0.0f32);
         for _ in 0..MAX_CONE_STEPS {
             *steps += 1;
@@ -293,7 +293,7 @@ impl ConeWalk<'_> {
         found.map_or(Ok(x), Err)
     }
 
-    /// Whether the cone stays free of the object ([`Decision::Free`]), as [`Self::beside`] would find with `x_known` 1.
+    /// Whether the cone stays free of the object ([`Decision::Free`]), as [`Self::beside`] would find with `x_limit` 1.
     /// The walk ends at the first edge in the cone. `hit_from` traces the axis, as there.
     pub(crate) fn decide(&self, steps: &mut u32, mut hit_from: impl FnMut(f32) -> Option<f32>) -> Decision {
         let mut is_free = false;
@@ -336,11 +336,11 @@ impl ConeWalk<'_> {
     ///
     /// Steps of the whole distance cannot cross the surface. Before the first longer step, `hit_from` traces the axis
     /// from the previous step. An axis that is known to be free is not traced. The walk ends where the rest of the cone
-    /// cannot come closer to the surface, nor closer than the known edge at `x_known`.
+    /// cannot come closer to the surface, nor closer than the known edge at `x_limit`.
     pub(crate) fn beside_wide(
         &self,
         wide: &WideCone<'_>,
-        x_known: f32,
+        x_limit: f32,
         steps: &mut u32,
         mut hit_from: impl FnMut(f32) -> Option<f32>,
     ) -> Result<f32, f32> {
@@ -378,7 +378,7 @@ impl ConeWalk<'_> {
             before = clear;
             // The last evaluation is at the end, so that an approach there enters the result without a jump.
             (step, t) = if t + next < self.leave { (next, t + next) } else { (self.leave - t, self.leave) };
-            if wide.ball.is_passed(t, self.slope * x.min(x_known).max(0.0)) {
+            if wide.ball.is_passed(t, self.slope * x.min(x_limit).max(0.0)) {
                 break;
             }
         }

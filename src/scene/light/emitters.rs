@@ -275,9 +275,9 @@ impl Emitters {
         // The normal of the side that emits.
         let normal = scene_from_tree.matrix3.determinant().signum() * placed.cross.normalize();
         let face = FaceAppearance::new(scene, instance, triangles, emitter.face, weights);
-        let way = placed.corner + weights[1] * placed.edges[0] + weights[2] * placed.edges[1] - place.p;
-        let t = way.length();
-        let ray = LightRay { direction: way / t, t_max: t };
+        let to_point = placed.corner + weights[1] * placed.edges[0] + weights[2] * placed.edges[1] - place.p;
+        let t = to_point.length();
+        let ray = LightRay { direction: to_point / t, t_max: t };
         let cosine = -normal.dot(ray.direction);
         let is_front = cosine > 0.0;
         let cosine = if face.material().two_sided { cosine.abs() } else { cosine };

@@ -104,13 +104,13 @@ impl Scene {
         let instance = &self.instances[item as usize];
         let field = instance.field.as_deref()?;
         let (origin, direction) = ray_in_field(instance, item == place.own, place, ray);
-        let look = field.appearance((origin + ray.t_max * direction).as_vec3(), hit, direction.as_vec3());
+        let appearance = field.appearance((origin + ray.t_max * direction).as_vec3(), hit, direction.as_vec3());
         let against = -ray.direction.as_vec3();
         let normal =
-            if hit.at_start { against } else { (instance.scene_from_normal * look.normal).normalize_or(against) };
+            if hit.at_start { against } else { (instance.scene_from_normal * appearance.normal).normalize_or(against) };
         let p = place.p + ray.t_max * ray.direction;
         let material = &self.materials[instance.first_material as usize];
-        let (color, emission) = (field_color(instance, material, &look), field_emission(material));
+        let (color, emission) = (field_color(instance, material, &appearance), field_emission(material));
         let place = SurfacePoint { p, normal, own: item, bias_voxels: BIAS_FIELD, lift: Vec3::ZERO, skips_own: false };
         Some(self.light_hit(ray, place, instance.first_material, color, emission))
     }

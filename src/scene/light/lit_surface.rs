@@ -72,12 +72,12 @@ impl SceneLight {
                 (LightRay { direction: to_light, t_max: f64::INFINITY }, slope, color)
             }
             Self::Point { position, color, radius, falloff, spot } => {
-                let way = position - p;
-                let distance = way.length().max(1e-12);
-                let direction = way / distance;
-                let left = falloff.map_or(1.0, |[range, scale]| share_at(distance, range, scale))
+                let to_light = position - p;
+                let distance = to_light.length().max(1e-12);
+                let direction = to_light / distance;
+                let share = falloff.map_or(1.0, |[range, scale]| share_at(distance, range, scale))
                     * spot.map_or(1.0, |spot| share_of_cone(&spot, -direction));
-                let color = (left.min(f64::MAX) * color.as_dvec3()).min(DVec3::splat(BRIGHTEST)).as_vec3();
+                let color = (share.min(f64::MAX) * color.as_dvec3()).min(DVec3::splat(BRIGHTEST)).as_vec3();
                 (LightRay { direction, t_max: distance }, (radius / distance) as f32, color)
             }
         }
@@ -181,7 +181,7 @@ impl<'a> LitSurface<'a> {
 
     /// Evaluates the light on the surface in the fields. `near` has for each light the instances that may block it,
     /// if they are known. Returns the work.
-    pub(crate) fn look(
+    pub(crate) fn evaluate(
         &self,
         casters: &Casters<'_>,
         near: Option<&[NearList]>,
@@ -203,18 +203,18 @@ impl<'a> LitSurface<'a> {
                 .unwrap_or_else(|| self.visible_share(&near, place, &ray, slope, options, &mut work));
             found.through[i] = [0.0; 3];
             if self.scatters(scene) {
-                let ways = self.ways(&ray, slope, options.shadows);
+                let paths = self.paths(&ray, slope, options.shadows);
                 let mut sum = Vec3::ZERO;
-                for (way, slope) in &ways {
-                    let left = self.left(scene, way, casters.length_inside(place, way, &mut work));
-                    sum += match self.plain_visibility(found.shares[i], left, options) {
-                        Some(share) => share * left,
+                for (path, slope) in &paths {
+                    let transmitted = self.transmitted(scene, path, casters.length_inside(place, path, &mut work));
+                    sum += match self.plain_visibility(found.shares[i], transmitted, options) {
+                        Some(share) => share * transmitted,
                         None => {
-                            left * self.visible_share(casters, &self.place_behind(), way, *slope, options, &mut work)
+                            transmitted * self.visible_share(casters, &self.place_behind(), path, *slope, options, &mut work)
                         }
                     };
                 }
-                found.through[i] = (sum / ways.len() as f32).to_array();
+                found.through[i] = (sum / paths.len() as f32).to_array();
             }
         }
         work
@@ -240,7 +240,7 @@ impl<'a> LitSurface<'a> {
 
     /// The rays along which light passes through the instance, each with the slope of its part of the light: every ray
     /// of an area light separately, else the ray to the centre with the whole light.
-    pub(crate) fn ways(&self, ray: &LightRay, slope: f32, shadows: SceneShadows) -> Vec<(LightRay, f32)> {
+    pub(crate) fn paths(&self, ray: &LightRay, slope: f32, shadows: SceneShadows) -> Vec<(LightRay, f32)> {
         match shadows {
             SceneShadows::Area(count) if slope > 0.0 => {
                 let axes = basis(ray.direction);
@@ -252,17 +252,17 @@ impl<'a> LitSurface<'a> {
 
     /// Fraction of the light that remains after a length inside the instance, scene units, times the weight of the
     /// surface.
-    pub(crate) fn left(&self, scene: &Scene, ray: &LightRay, length: f32) -> Vec3 {
+    pub(crate) fn transmitted(&self, scene: &Scene, ray: &LightRay, length: f32) -> Vec3 {
         let scattering = Vec3::from_array(scene.materials[self.layer.material as usize].scattering);
-        transmission::weight(self.cosine(ray)) * transmission::left(length * scene.scale as f32, scattering)
+        transmission::weight(self.cosine(ray)) * transmission::transmitted(length * scene.scale as f32, scattering)
     }
 
     /// The visibility of a light behind the instance if it needs no rays: without shadows, where no light remains, and
     /// where the surface receives all of the light although its own instance can shade it.
-    pub(crate) fn plain_visibility(&self, share: f32, left: Vec3, options: &RenderOptions) -> Option<f32> {
+    pub(crate) fn plain_visibility(&self, share: f32, transmitted: Vec3, options: &RenderOptions) -> Option<f32> {
         match options.shadows {
             SceneShadows::None => Some(1.0),
-            _ if left.max_element() <= NO_LIGHT => Some(0.0),
+            _ if transmitted.max_element() <= NO_LIGHT => Some(0.0),
             _ => (share >= 1.0).then_some(1.0),
         }
     }

@@ -38,8 +38,8 @@ impl NearInstances {
 
     /// Whether a cone of radius `slope` per distance around a unit direction may intersect ball `i`.
     fn may_intersect(&self, i: usize, p: Vec3, direction: Vec3, slope: f32) -> bool {
-        let (way, radius) = (Vec3::new(self.x[i], self.y[i], self.z[i]) - p, self.radius[i]);
-        let (along, squared) = (way.dot(direction), way.length_squared());
+        let (to_center, radius) = (Vec3::new(self.x[i], self.y[i], self.z[i]) - p, self.radius[i]);
+        let (along, squared) = (to_center.dot(direction), to_center.length_squared());
         // The widest part of the cone that can touch the ball.
         let radius = radius + slope * (along.max(0.0) + radius);
         along >= -radius && squared - along * along <= radius * radius + ROUNDING * squared
@@ -60,7 +60,7 @@ pub(crate) struct ConeOccluder {
 pub(crate) struct Beside<'a> {
     pub nearby: &'a NearInstances,
     /// All instances that come within one radius of the axis.
-    pub met: &'a [ConeOccluder],
+    pub candidates: &'a [ConeOccluder],
     /// Radius of the cone per distance.
     pub slope: f32,
 }
@@ -77,7 +77,9 @@ impl Beside<'_> {
         let mut pass =
             |i: usize| !self.nearby.may_intersect(i, p, direction, width / length) || visit(self.nearby.items[i]);
         if offset + width < self.slope {
-            self.met.iter().all(|met| offset + width < self.slope * met.x || pass(met.index as usize));
+            self.candidates
+                .iter()
+                .all(|candidate| offset + width < self.slope * candidate.x || pass(candidate.index as usize));
         } else {
             (0..self.nearby.items.len()).all(pass);
         }

@@ -46,17 +46,17 @@ impl<'a> Occluder<'a> {
         }
     }
 
-    /// The interval of a cone of radius `slope t` in which the surface may come within `x_known` radii of the axis.
+    /// The interval of a cone of radius `slope t` in which the surface may come within `x_limit` radii of the axis.
     pub(crate) fn cone_walk(
         &self,
         LightCone { place, ray, slope }: LightCone<'_>,
-        x_known: f32,
+        x_limit: f32,
     ) -> Option<ConeWalk<'a>> {
         let Occluder { instance, field, bounds, .. } = *self;
         let (origin, direction) = ray_in_field(instance, self.is_own, place, ray);
         let [lower, upper] = field.surface_bounds();
         // The box is enlarged by the radius of the cone at its far side; see `Line::cone`.
-        let grown = instance.field_extent * widest(place, ray, slope * x_known.max(0.0), bounds);
+        let grown = instance.field_extent * widest(place, ray, slope * x_limit.max(0.0), bounds);
         let clip_from = |from: f64| clip(origin, direction, lower - grown, upper + grown, from, self.part[1]);
         let (mut enter, leave) = clip_from(self.part[0])?;
         if self.skip > 0.0 && field.distance((origin + enter * direction).as_vec3()) <= 0.0 {

@@ -71,7 +71,7 @@ pub(crate) struct Occluders {
     /// Whether some instances of `nearby` are not opaque solids.
     is_mixed: bool,
     /// Vector from the place to the centre of the ball of each nearby instance.
-    way: [Vec<f32>; 3],
+    toward: [Vec<f32>; 3],
     /// Its squared length `c^2`.
     squared: Vec<f32>,
     /// Radius of the ball; 0 if the place is inside it.
@@ -82,7 +82,7 @@ pub(crate) struct Occluders {
     /// can intersect the ball.
     limit: Vec<f32>,
     /// The instances that the current cone may meet. The evaluated ones are at the end.
-    met: Vec<ConeOccluder>,
+    candidates: Vec<ConeOccluder>,
 }
 
 /// Where occluders of a place may be, scene units.
@@ -98,32 +98,32 @@ struct Region {
 }
 
 /// The balls of some instances as seen from a place: see the fields of [`Occluders`].
-struct BallsSeen<'a> {
-    way: [&'a mut [f32]; 3],
+struct BallsAround<'a> {
+    toward: [&'a mut [f32]; 3],
     squared: &'a mut [f32],
     radius: &'a mut [f32],
     tangent: &'a mut [f32],
     limit: &'a mut [f32],
 }
 
-impl BallsSeen<'_> {
+impl BallsAround<'_> {
     #[inline(always)]
     fn update(self, [x, y, z, radii]: [&[f32]; 4], region: &Region) {
         let Region { p, normal, reach, depth } = *region;
         let n = radii.len();
-        let [way_x, way_y, way_z] = self.way.map(|along| &mut along[..n]);
+        let [way_x, way_y, way_z] = self.toward.map(|along| &mut along[..n]);
         let (squared, radius, tangent) = (&mut self.squared[..n], &mut self.radius[..n], &mut self.tangent[..n]);
         let (limit, x, y, z) = (&mut self.limit[..n], &x[..n], &y[..n], &z[..n]);
         for i in 0..n {
-            let way = [x[i] - p.x, y[i] - p.y, z[i] - p.z];
-            let c_squared = way[0] * way[0] + way[1] * way[1] + way[2] * way[2];
-            let height = way[0] * normal.x + way[1] * normal.y + way[2] * normal.z;
+            let toward = [x[i] - p.x, y[i] - p.y, z[i] - p.z];
+            let c_squared = toward[0] * toward[0] + toward[1] * toward[1] + toward[2] * toward[2];
+            let height = toward[0] * normal.x + toward[1] * normal.y + toward[2] * normal.z;
             let farthest = reach + radii[i];
             let is_near = (height + radii[i] >= -depth) & (c_squared <= farthest * farthest);
             let tangent_squared = c_squared - radii[i] * radii[i];
             // Inside a ball all values are 0, and so is the bound.
             let is_outside = tangent_squared > ROUNDING * c_squared;
-            (way_x[i], way_y[i], way_z[i]) = (way[0], way[1], way[2]);
+            (way_x[i], way_y[i], way_z[i]) = (toward[0], toward[1], toward[2]);
             squared[i] = c_squared;
             radius[i] = if is_outside { radii[i] } else { 0.0 };
             tangent[i] = if is_outside { tangent_squared.sqrt() } else { 0.0 };
@@ -137,7 +137,7 @@ const LANES: usize = 8;
 
 /// Balls as seen from a place, for reading: see the fields of [`Occluders`]. Their number is a multiple of [`LANES`].
 struct BallBounds<'a> {
-    way: [&'a [f32]; 3],
+    toward: [&'a [f32]; 3],
     squared: &'a [f32],
     radius: &'a [f32],
     tangent: &'a [f32],
@@ -145,10 +145,10 @@ struct BallBounds<'a> {
 }
 
 impl BallBounds<'_> {
-    /// Appends the balls that a cone with this axis may meet to `met`.
+    /// Appends the balls that a cone with this axis may meet to `candidates`.
     #[inline(always)]
-    fn meet(&self, axis: Vec3, met: &mut Vec<ConeOccluder>) {
-        let Self { way: [x, y, z], squared, radius, tangent, limit } = self;
+    fn find_candidates(&self, axis: Vec3, candidates: &mut Vec<ConeOccluder>) {
+        let Self { toward: [x, y, z], squared, radius, tangent, limit } = self;
         let [x, y, z] = [x.as_chunks::<LANES>().0, y.as_chunks().0, z.as_chunks().0];
         let [squared, radius] = [squared.as_chunks::<LANES>().0, radius.as_chunks().0];
         let [tangent, limit] = [tangent.as_chunks::<LANES>().0, limit.as_chunks().0];
@@ -173,7 +173,7 @@ impl BallBounds<'_> {
                 mask &= mask - 1;
                 // Inside a ball both are 0, and there is no bound.
                 let x = if tangent[i] > 0.0 { bounds[i] / limit[i] } else { -1.0 };
-                met.push(ConeOccluder { x, index: (LANES * chunk + i) as u32 });
+                candidates.push(ConeOccluder { x, index: (LANES * chunk + i) as u32 });
             }
         }
     }
@@ -183,25 +183,25 @@ impl Occluders {
     /// Relates the balls of the nearby instances to a place.
     fn relate(&mut self, region: &Region) {
         let n = self.nearby.items.len();
-        let Self { nearby, way: [x, y, z], squared, radius, tangent, limit, .. } = self;
+        let Self { nearby, toward: [x, y, z], squared, radius, tangent, limit, .. } = self;
         for values in [&mut *x, y, z, squared, radius, tangent] {
             values.resize(n.next_multiple_of(LANES), 0.0);
         }
         limit.clear();
         limit.resize(n.next_multiple_of(LANES), f32::NEG_INFINITY);
-        let seen = BallsSeen { way: [x, y, z], squared, radius, tangent, limit };
-        with_vectors!((seen: BallsSeen<'_> = seen, balls: [&[f32]; 4] = nearby.balls(), region: &Region = region) {
-            seen.update(balls, region)
+        let around = BallsAround { toward: [x, y, z], squared, radius, tangent, limit };
+        with_vectors!((around: BallsAround<'_> = around, balls: [&[f32]; 4] = nearby.balls(), region: &Region = region) {
+            around.update(balls, region)
         })
     }
 
     /// Finds the instances that a cone may meet.
-    fn meet(&mut self, axis: Vec3) {
-        let Self { way: [x, y, z], squared, radius, tangent, limit, met, .. } = self;
-        met.clear();
-        let balls = BallBounds { way: [x, y, z], squared, radius, tangent, limit };
-        with_vectors!((balls: BallBounds<'_> = balls, axis: Vec3 = axis, met: &mut Vec<ConeOccluder> = met) {
-            balls.meet(axis, met)
+    fn find_candidates(&mut self, axis: Vec3) {
+        let Self { toward: [x, y, z], squared, radius, tangent, limit, candidates, .. } = self;
+        candidates.clear();
+        let balls = BallBounds { toward: [x, y, z], squared, radius, tangent, limit };
+        with_vectors!((balls: BallBounds<'_> = balls, axis: Vec3 = axis, candidates: &mut Vec<ConeOccluder> = candidates) {
+            balls.find_candidates(axis, candidates)
         })
     }
 }
@@ -211,8 +211,8 @@ impl Occluders {
 fn take_nearest(waiting: &mut [ConeOccluder]) -> Option<ConeOccluder> {
     let last = waiting.len().checked_sub(1)?;
     let mut nearest = 0;
-    for (i, met) in waiting.iter().enumerate() {
-        if met.x < waiting[nearest].x {
+    for (i, candidate) in waiting.iter().enumerate() {
+        if candidate.x < waiting[nearest].x {
             nearest = i;
         }
     }
@@ -282,11 +282,11 @@ impl Casters<'_> {
         let split = self.split(place, ray, slope);
         let reach = self.reach(&split, ray);
         let line = Line::cone(place.p.as_vec3(), direction, slope);
-        occluders.meet(direction);
-        let Occluders { nearby, is_mixed, way: [x, y, z], squared, met, .. } = occluders;
+        occluders.find_candidates(direction);
+        let Occluders { nearby, is_mixed, toward: [x, y, z], squared, candidates, .. } = occluders;
         let mut sum = ConeSum::NEW;
-        let mut waiting = met.len();
-        while let Some(nearest) = take_nearest(&mut met[..waiting]) {
+        let mut waiting = candidates.len();
+        while let Some(nearest) = take_nearest(&mut candidates[..waiting]) {
             if nearest.x >= sum.opaque.x && !*is_mixed {
                 break;
             }
@@ -294,9 +294,9 @@ impl Casters<'_> {
             let i = nearest.index as usize;
             let item = nearby.items[i];
             let instance = &self.scene.instances[item as usize];
-            let x_known = sum.x_known(instance);
+            let x_limit = sum.x_limit(instance);
             let bounds = &self.scene.boxes[item as usize];
-            if nearest.x >= x_known || line.span(bounds.min, bounds.max, reach).is_none() {
+            if nearest.x >= x_limit || line.span(bounds.min, bounds.max, reach).is_none() {
                 continue;
             }
             // The own field is evaluated from a point that is moved off the surface.
@@ -306,20 +306,20 @@ impl Casters<'_> {
                 squared: squared[i],
                 radius: self.scene.balls()[item as usize].radius + moved,
             };
-            let wide = WideCone { beside: Beside { nearby, met, slope }, least_x: nearest.x, ball };
+            let wide = WideCone { beside: Beside { nearby, candidates, slope }, least_x: nearest.x, ball };
             let mut found = 1.0f32;
             for caster in self.casters(item, place, ray, &split) {
-                found = found.min(self.add_cone(&caster, cone, x_known, Some(&wide), &mut sum, work).x);
+                found = found.min(self.add_cone(&caster, cone, x_limit, Some(&wide), &mut sum, work).x);
             }
             if sum.opaque.x <= -1.0 {
                 break;
             }
             // Behind the start of a far field a cone and a ray in it end at different positions.
             if self.far.is_none() {
-                met[waiting].x = nearest.x.max(clearance(found.min(x_known)));
+                candidates[waiting].x = nearest.x.max(clearance(found.min(x_limit)));
             }
         }
-        let wide = WideCone { beside: Beside { nearby, met, slope }, least_x: -1.0, ball: BallAhead::ENDLESS };
+        let wide = WideCone { beside: Beside { nearby, candidates, slope }, least_x: -1.0, ball: BallAhead::ENDLESS };
         let is_far = self.add_far(&split, cone, Some(&wide), &mut sum, work);
         work.count(is_far);
         sum.share().share
@@ -339,21 +339,21 @@ mod tests {
         /// The distance of a ball from the axis of a cone is never less than its bound, and all balls that a cone meets
         /// are found.
         #[test]
-        fn bounds_hold(centers in prop::collection::vec((vector(), 0.01..0.8f32), 1..20), p in vector(), way in vector()) {
-            prop_assume!(way.length() > 0.01);
-            let direction = way.normalize();
+        fn bounds_hold(centers in prop::collection::vec((vector(), 0.01..0.8f32), 1..20), p in vector(), toward in vector()) {
+            prop_assume!(toward.length() > 0.01);
+            let direction = toward.normalize();
             let mut occluders = Occluders::default();
             for (i, &(center, radius)) in centers.iter().enumerate() {
                 occluders.nearby.push(i as u32, center, radius);
             }
             let everywhere = Region { p, normal: Vec3::Z, reach: 1e3, depth: 1e3 };
             occluders.relate(&everywhere);
-            occluders.meet(direction);
+            occluders.find_candidates(direction);
             for (i, &(center, radius)) in centers.iter().enumerate() {
                 let x_at = |t: f32| ((center - p - t * direction).length() - radius) / (AO_SLOPE * t);
                 let nearest = (1..2000).map(|i| x_at(i as f32 * 0.003)).fold(f32::INFINITY, f32::min);
-                match occluders.met.iter().find(|met| met.index as usize == i) {
-                    Some(met) => prop_assert!(met.x <= nearest.max(-1.0) + 1e-4, "{met:?} {nearest}"),
+                match occluders.candidates.iter().find(|candidate| candidate.index as usize == i) {
+                    Some(candidate) => prop_assert!(candidate.x <= nearest.max(-1.0) + 1e-4, "{candidate:?} {nearest}"),
                     None => prop_assert!(nearest >= 1.0 - 1e-4, "{nearest}"),
                 }
             }
@@ -361,17 +361,17 @@ mod tests {
             let offset = 0.9 * AO_SLOPE;
             let past = (direction + offset * direction.any_orthonormal_vector()).normalize();
             let mut visited = Vec::new();
-            let beside = Beside { nearby: &occluders.nearby, met: &occluders.met, slope: AO_SLOPE };
+            let beside = Beside { nearby: &occluders.nearby, candidates: &occluders.candidates, slope: AO_SLOPE };
             beside.along(p, past, offset, 0.1, |item| { visited.push(item as usize); true });
             for (i, &(center, radius)) in centers.iter().enumerate() {
                 let t = (center - p).dot(past).max(0.0);
                 let width = 0.1 * t / (1.0 + offset * offset).sqrt();
                 prop_assert!(visited.contains(&i) || (center - p - t * past).length() >= (radius + width) * (1.0 - 1e-3));
             }
-            let (mut least, mut waiting) = (f32::NEG_INFINITY, occluders.met.len());
-            while let Some(met) = take_nearest(&mut occluders.met[..waiting]) {
-                prop_assert!(met.x >= least);
-                least = met.x;
+            let (mut least, mut waiting) = (f32::NEG_INFINITY, occluders.candidates.len());
+            while let Some(candidate) = take_nearest(&mut occluders.candidates[..waiting]) {
+                prop_assert!(candidate.x >= least);
+                least = candidate.x;
                 waiting -= 1;
             }
             prop_assert_eq!(waiting, 0);

@@ -168,9 +168,9 @@ impl Casters<'_> {
                 continue;
             }
             let is_soft = options.shadows == SceneShadows::Soft;
-            for (way, slope) in surface.ways(&ray, slope, options.shadows) {
+            for (path, slope) in surface.paths(&ray, slope, options.shadows) {
                 let slope = if is_soft { slope } else { 0.0 };
-                shares.extend(self.light_past_faces(place, &way, slope, &mut work));
+                shares.extend(self.light_past_faces(place, &path, slope, &mut work));
             }
         }
         (shares, work)

@@ -54,8 +54,8 @@ impl RayBundle {
 /// The centre of the ball lies `z` along the axis and `r` from it, so it is `(r - slope z) / sqrt(1 + slope^2)` outside
 /// the side of the cone.
 pub(crate) fn is_clear(origin: Vec3, direction: Vec3, slope: f32, center: Vec3, radius: f32) -> bool {
-    let way = center - origin;
-    let along = way.dot(direction);
-    let aside = (way - along * direction).length();
+    let to_center = center - origin;
+    let along = to_center.dot(direction);
+    let aside = (to_center - along * direction).length();
     aside - slope * along > radius * (1.0 + slope * slope).sqrt()
 }

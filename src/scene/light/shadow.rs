@@ -85,10 +85,10 @@ impl<'a> Casters<'a> {
     }
 
     /// Decides whether a cone is completely lit or dark. Only then the result is proven, and its fraction is exact.
-    /// `met` becomes the list of instances in the cone.
-    pub(crate) fn whole_cone(&self, cone: LightCone<'_>, met: &mut Vec<u32>, work: &mut LightWork) -> ConeShare {
+    /// `in_cone` becomes the list of instances in the cone.
+    pub(crate) fn whole_cone(&self, cone: LightCone<'_>, in_cone: &mut Vec<u32>, work: &mut LightWork) -> ConeShare {
         let LightCone { place, ray, slope } = cone;
-        met.clear();
+        in_cone.clear();
         let split = self.split(place, ray, slope);
         let mut sum = ConeSum::NEW;
         self.walk(cone, &split, |item, limit| {
@@ -97,7 +97,7 @@ impl<'a> Casters<'a> {
                 x = x.min(self.decide_cone(&caster, cone, &mut sum, work).x);
             }
             if x < 1.0 {
-                met.push(item);
+                in_cone.push(item);
             }
             if sum.opaque.is_covered { -1.0 } else { limit }
         });
@@ -148,8 +148,8 @@ impl<'a> Casters<'a> {
         let is_far = split.far.is_some() && sum.opaque.x > -1.0;
         if is_far {
             for far in self.far_casters(split, cone.place, cone.ray) {
-                let x_known = sum.opaque.x;
-                self.add_cone(&far, cone, x_known, wide, sum, work);
+                let x_limit = sum.opaque.x;
+                self.add_cone(&far, cone, x_limit, wide, sum, work);
                 if sum.opaque.x <= -1.0 {
                     break;
                 }
@@ -164,7 +164,7 @@ impl<'a> Casters<'a> {
         &self,
         caster: &Occluder<'_>,
         cone: LightCone<'_>,
-        x_known: f32,
+        x_limit: f32,
         wide: Option<&WideCone<'_>>,
         sum: &mut ConeSum,
         work: &mut LightWork,
@@ -173,8 +173,8 @@ impl<'a> Casters<'a> {
             return found;
         }
         let found = match wide {
-            Some(wide) => self.wide_cone_past(caster, cone, wide, x_known, work),
-            None => self.cone_past(caster, cone, x_known, work),
+            Some(wide) => self.wide_cone_past(caster, cone, wide, x_limit, work),
+            None => self.cone_past(caster, cone, x_limit, work),
         };
         sum.add(caster.instance, found);
         found
@@ -227,8 +227,8 @@ impl<'a> Casters<'a> {
         if sheets_share == 0.0 {
             return 0.0;
         }
-        let mut met = Vec::new();
-        let whole = self.whole_cone(LightCone { place, ray, slope }, &mut met, work);
+        let mut in_cone = Vec::new();
+        let whole = self.whole_cone(LightCone { place, ray, slope }, &mut in_cone, work);
         if whole.is_proven {
             return whole.share * sheets_share;
         }
@@ -239,29 +239,29 @@ impl<'a> Casters<'a> {
         for (i, sheets_part) in (0..PARTS).zip(past_sheets) {
             let to_part = toward(ray, axes, slope, disc_point(i, PARTS, 0.0));
             let cone = LightCone { place, ray: &to_part, slope: part };
-            total += self.cone_share(cone, &met, work) * sheets_part;
+            total += self.cone_share(cone, &in_cone, work) * sheets_part;
         }
         total / PARTS as f32
     }
 
     /// The instances whose boxes a cone touches.
     pub(crate) fn instances_in(&self, cone: LightCone<'_>) -> Vec<u32> {
-        let mut met = Vec::new();
+        let mut in_cone = Vec::new();
         self.walk(cone, &self.split(cone.place, cone.ray, cone.slope), |item, limit| {
-            met.push(item);
+            in_cone.push(item);
             limit
         });
-        met
+        in_cone
     }
 
     /// Fraction of a narrow cone's section that passes some instances and the far field.
-    pub(crate) fn cone_share(&self, cone: LightCone<'_>, met: &[u32], work: &mut LightWork) -> f32 {
+    pub(crate) fn cone_share(&self, cone: LightCone<'_>, in_cone: &[u32], work: &mut LightWork) -> f32 {
         let split = self.split(cone.place, cone.ray, cone.slope);
         let mut sum = ConeSum::NEW;
-        for &item in met {
-            let x_known = sum.x_known(&self.scene.instances[item as usize]);
+        for &item in in_cone {
+            let x_limit = sum.x_limit(&self.scene.instances[item as usize]);
             for caster in self.casters(item, cone.place, cone.ray, &split) {
-                self.add_cone(&caster, cone, x_known, None, &mut sum, work);
+                self.add_cone(&caster, cone, x_limit, None, &mut sum, work);
             }
             if sum.opaque.x <= -1.0 {
                 break;
@@ -401,12 +401,12 @@ impl<'a> Casters<'a> {
         caster.hit_in_field(walk.ray, from, work).map(|hit| hit.t)
     }
 
-    /// Evaluates a cone of radius `slope t` past one occluder. Only edges closer to the axis than `x_known` are
+    /// Evaluates a cone of radius `slope t` past one occluder. Only edges closer to the axis than `x_limit` are
     /// relevant.
-    fn cone_past(&self, caster: &Occluder<'_>, cone: LightCone<'_>, x_known: f32, work: &mut LightWork) -> Cone {
-        let Some(walk) = caster.cone_walk(cone, x_known) else { return Cone::FREE };
+    fn cone_past(&self, caster: &Occluder<'_>, cone: LightCone<'_>, x_limit: f32, work: &mut LightWork) -> Cone {
+        let Some(walk) = caster.cone_walk(cone, x_limit) else { return Cone::FREE };
         let mut steps = 0;
-        let found = walk.beside(x_known, &mut steps, |from| self.walk_hit(caster, &walk, from, work));
+        let found = walk.beside(x_limit, &mut steps, |from| self.walk_hit(caster, &walk, from, work));
         work.steps += steps;
         match found {
             Ok(x) => Cone { x, is_covered: false },
@@ -420,13 +420,13 @@ impl<'a> Casters<'a> {
         caster: &Occluder<'_>,
         cone: LightCone<'_>,
         wide: &WideCone<'_>,
-        x_known: f32,
+        x_limit: f32,
         work: &mut LightWork,
     ) -> Cone {
         let Some(walk) = caster.cone_walk(cone, 1.0) else { return Cone::FREE };
         let mut steps = 0;
         let hit_from = |from| caster.hit_in_field(walk.ray, f64::from(from), work).map(|hit| hit.t);
-        let found = walk.beside_wide(wide, x_known, &mut steps, hit_from);
+        let found = walk.beside_wide(wide, x_limit, &mut steps, hit_from);
         work.steps += steps;
         match found {
             Ok(x) => Cone { x: x.max(wide.least_x), is_covered: false },
@@ -515,15 +515,15 @@ impl<'a> Casters<'a> {
     }
 
     /// The clearance of the axis of a narrow cone beside one occluder in radii, from 0 to 1. A clearance above
-    /// `x_known` need not be exact.
-    fn clearance_beside(&self, caster: &Occluder<'_>, cone: LightCone<'_>, x_known: f32, work: &mut LightWork) -> f32 {
+    /// `x_limit` need not be exact.
+    fn clearance_beside(&self, caster: &Occluder<'_>, cone: LightCone<'_>, x_limit: f32, work: &mut LightWork) -> f32 {
         work.steps += 1;
         if caster.field.prefers_rays() {
             return if self.hit_of(caster, cone.place, cone.ray, work).is_some() { 0.0 } else { 1.0 };
         }
-        let Some(walk) = caster.cone_walk(cone, x_known) else { return 1.0 };
+        let Some(walk) = caster.cone_walk(cone, x_limit) else { return 1.0 };
         let mut steps = 0;
-        let found = walk.beside(x_known, &mut steps, |from| self.walk_hit(caster, &walk, from, work));
+        let found = walk.beside(x_limit, &mut steps, |from| self.walk_hit(caster, &walk, from, work));
         work.steps += steps;
         found.unwrap_or(0.0)
     }

@@ -44,7 +44,7 @@ pub(crate) const NO_LIGHT: f32 = 1e-9;
 
 /// Fraction of the light that remains after a length inside, for each of RGB; the scattering lengths are in the same
 /// unit. A colour with a scattering length of 0 does not enter.
-pub(crate) fn left(length: f32, scattering: Vec3) -> Vec3 {
+pub(crate) fn transmitted(length: f32, scattering: Vec3) -> Vec3 {
     let share = (-length / scattering.max(Vec3::splat(f32::MIN_POSITIVE))).exp();
     Vec3::select(scattering.cmpgt(Vec3::ZERO), share, Vec3::ZERO)
 }

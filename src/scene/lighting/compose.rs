@@ -30,7 +30,7 @@ use rayon::prelude::*;
 /// of rays and cones of the light in each pixel.
 pub(crate) fn compose(
     pass: &Pass<'_>,
-    known: &LightBuffer,
+    direct: &LightBuffer,
     indirect: Option<&LightBuffer>,
 ) -> Result<(Frame, Vec<u32>), Error> {
     let &Pass { casters, buffer, lights, options, progress, .. } = pass;
@@ -48,7 +48,7 @@ pub(crate) fn compose(
             let mut is_first = true;
             while let Some(layer) = layers.get(next).filter(|layer| layer.x as usize == x) {
                 let surface = LitSurface::new(scene, buffer, y, layer);
-                let (found, mut work) = known.at(y, next);
+                let (found, mut work) = direct.at(y, next);
                 let arrives = match indirect.map(|indirect| indirect.values_at(y, next)) {
                     Some((values, indirect)) => {
                         work += indirect;

@@ -61,7 +61,7 @@ pub(crate) fn filter(
         .rows
         .iter()
         .map(|row| {
-            let values = row.values.as_chunks::<3>().0.iter().zip(&row.is_known);
+            let values = row.values.as_chunks::<3>().0.iter().zip(&row.is_evaluated);
             values.map(|(value, &known)| (Vec3::from_array(*value), f32::from(u8::from(known)))).collect()
         })
         .collect();
@@ -78,7 +78,7 @@ pub(crate) fn filter(
         for (i, (value, count)) in light.into_iter().enumerate() {
             let value = if count > 0.0 { value } else { Vec3::from_slice(&guide.values[3 * i..][..3]) };
             row.values[3 * i..][..3].copy_from_slice(&value.to_array());
-            row.is_known[i] = true;
+            row.is_evaluated[i] = true;
         }
     }
     Ok(own)

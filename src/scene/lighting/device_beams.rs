@@ -3,7 +3,7 @@
 use super::light_buffer::{LightBuffer, parts_of, stride};
 use super::pass::Pass;
 use crate::error::{DeviceError, Error};
-use crate::gpu::layout::{Answer, Beam};
+use crate::gpu::layout::{Beam, BeamResult};
 use crate::scene::content::options::SceneShadows;
 use crate::scene::device::device_scene::{DeviceScene, WIDE, beam, work_of};
 use crate::scene::light::light_rays::{LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
@@ -19,25 +19,25 @@ const MOST_BEAMS: usize = 1 << 20;
 pub(crate) fn evaluate_by_beams(
     pass: &Pass<'_>,
     device: &DeviceScene,
-    known: &mut LightBuffer,
-    wanted: &dyn Fn(u32, u32) -> bool,
-    worth: u64,
+    evaluated: &mut LightBuffer,
+    is_requested: &dyn Fn(u32, u32) -> bool,
+    row_progress: u64,
 ) -> Result<(), Error> {
     // Rows are processed in bunches that fit into the memory for beams. A beam has 64 bytes.
     let rays = if let SceneShadows::Area(count) = pass.options.shadows { count } else { PARTS } as usize;
     let beams_per_layer = pass.lights.lights.len().max(1) * rays + AO_CONES;
     let mut bunch = Vec::new();
-    for y in 0..known.rows.len() {
+    for y in 0..evaluated.rows.len() {
         for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
-            if !known.rows[y].is_known[i] && wanted(layer.x, y as u32) {
+            if !evaluated.rows[y].is_evaluated[i] && is_requested(layer.x, y as u32) {
                 bunch.push((y, i, LitSurface::new(pass.casters.scene, pass.buffer, y, layer)));
             }
         }
-        pass.progress.advance(worth)?;
-        if bunch.len() * beams_per_layer < MOST_BEAMS && y + 1 < known.rows.len() {
+        pass.progress.advance(row_progress)?;
+        if bunch.len() * beams_per_layer < MOST_BEAMS && y + 1 < evaluated.rows.len() {
             continue;
         }
-        light_bunch(pass, device, known, &mut bunch)?;
+        light_bunch(pass, device, evaluated, &mut bunch)?;
     }
     Ok(())
 }
@@ -46,21 +46,21 @@ pub(crate) fn evaluate_by_beams(
 fn light_bunch(
     pass: &Pass<'_>,
     device: &DeviceScene,
-    known: &mut LightBuffer,
+    evaluated: &mut LightBuffer,
     bunch: &mut Vec<(usize, usize, LitSurface<'_>)>,
 ) -> Result<(), Error> {
-    let lights = known.lights;
-    let mut answers = DeviceResults::evaluate(pass, device, bunch)?;
+    let lights = evaluated.lights;
+    let mut beam_results = DeviceResults::evaluate(pass, device, bunch)?;
     // `behind` has the beams from behind; `owners` has the row and the layer of each.
     let (mut behind, mut owners) = (Vec::new(), Vec::new());
     for (y, i, surface) in bunch.drain(..) {
-        let row = &mut known.rows[y];
+        let row = &mut evaluated.rows[y];
         let mut found = parts_of(&mut row.values[i * stride(lights)..][..stride(lights)], lights);
-        let work = answers.next(pass, &surface, &mut found, &mut behind).ok_or_else(|| too_few(device))?;
+        let work = beam_results.next(pass, &surface, &mut found, &mut behind).ok_or_else(|| too_few(device))?;
         owners.resize(behind.len(), (y, i));
         row.work[i] = work;
         pass.counters.add(work);
-        row.is_known[i] = true;
+        row.is_evaluated[i] = true;
     }
     let beams = behind.iter().map(|behind| beam(&behind.place, &behind.ray, behind.slope)).collect();
     let past_faces = past_faces(pass, &behind, |Behind { place, ray, slope, .. }| {
@@ -69,13 +69,13 @@ fn light_bunch(
         (shares, work)
     })?;
     let mut shares = Batch::run(pass, device, beams, past_faces)?;
-    for (Behind { light, left, .. }, (y, i)) in behind.into_iter().zip(owners) {
+    for (Behind { light, transmitted, .. }, (y, i)) in behind.into_iter().zip(owners) {
         let mut work = LightWork::default();
         let visible = shares.next(&mut work).ok_or_else(|| too_few(device))?;
-        let row = &mut known.rows[y];
+        let row = &mut evaluated.rows[y];
         let found = parts_of(&mut row.values[i * stride(lights)..][..stride(lights)], lights);
         let through = &mut found.through[light];
-        *through = (Vec3::from_array(*through) + visible * left).to_array();
+        *through = (Vec3::from_array(*through) + visible * transmitted).to_array();
         row.work[i] += work;
         pass.counters.add(work);
     }
@@ -89,9 +89,9 @@ fn too_few(device: &DeviceScene) -> DeviceError {
 
 /// Beams, and the device's results along them, in order.
 struct Batch {
-    beams: std::iter::Zip<std::vec::IntoIter<Beam>, std::vec::IntoIter<Answer>>,
+    beams: std::iter::Zip<std::vec::IntoIter<Beam>, std::vec::IntoIter<BeamResult>>,
     /// The narrow cones of discs for which one cone was not sufficient.
-    parts: std::vec::IntoIter<Answer>,
+    parts: std::vec::IntoIter<BeamResult>,
     /// Fractions past triangles, which the CPU traces: one for each ray and cone of occlusion, and one for each part of
     /// a disc. Empty if no triangles block the light.
     past_faces: std::vec::IntoIter<f32>,
@@ -101,7 +101,7 @@ impl Batch {
     fn run(pass: &Pass<'_>, device: &DeviceScene, beams: Vec<Beam>, past_faces: Vec<f32>) -> Result<Self, Error> {
         let has_wide = pass.options.occlusion.is_some();
         let first = device.shares(pass.casters, has_wide, &beams, pass.progress)?;
-        let undecided = beams.iter().zip(&first).filter(|(beam, answer)| is_undecided(beam, answer));
+        let undecided = beams.iter().zip(&first).filter(|(beam, beam_result)| is_undecided(beam, beam_result));
         let parts: Vec<Beam> = undecided.flat_map(|(beam, _)| parts_of_disc(beam)).collect();
         let second = device.shares(pass.casters, has_wide, &parts, pass.progress)?;
         Ok(Self { beams: beams.into_iter().zip(first), parts: second.into_iter(), past_faces: past_faces.into_iter() })
@@ -109,15 +109,15 @@ impl Batch {
 
     /// The fraction of the next beam, and its work; `None` if there are no more results.
     fn next(&mut self, work: &mut LightWork) -> Option<f32> {
-        let (beam, answer) = self.beams.next()?;
-        *work += work_of(&answer);
+        let (beam, beam_result) = self.beams.next()?;
+        *work += work_of(&beam_result);
         let count = if is_disc(&beam) { PARTS as usize } else { 1 };
         let mut past_faces = [1.0; PARTS as usize];
         for (share, found) in past_faces[..count].iter_mut().zip(self.past_faces.by_ref()) {
             *share = found;
         }
-        if !is_undecided(&beam, &answer) {
-            return Some(answer.value * past_faces[..count].iter().sum::<f32>() / count as f32);
+        if !is_undecided(&beam, &beam_result) {
+            return Some(beam_result.value * past_faces[..count].iter().sum::<f32>() / count as f32);
         }
         let mut sum = 0.0;
         for past_faces in past_faces {
@@ -141,7 +141,7 @@ impl Batch {
 struct DeviceResults {
     direct: Batch,
     /// Lengths inside the own instance.
-    lengths: std::vec::IntoIter<Answer>,
+    lengths: std::vec::IntoIter<BeamResult>,
 }
 
 impl DeviceResults {
@@ -191,19 +191,19 @@ impl DeviceResults {
             };
             let mut sum = Vec3::ZERO;
             if surface.scatters(scene) {
-                let ways = surface.ways(&ray, slope, pass.options.shadows);
-                let share = 1.0 / ways.len() as f32;
-                for (way, slope) in ways {
-                    let length = match pass.casters.chord(&surface.place, &way) {
+                let paths = surface.paths(&ray, slope, pass.options.shadows);
+                let share = 1.0 / paths.len() as f32;
+                for (path, slope) in paths {
+                    let length = match pass.casters.chord(&surface.place, &path) {
                         Some(chord) => chord,
                         None => self.lengths.next()?.value,
                     };
-                    let left = share * surface.left(scene, &way, length);
-                    match surface.plain_visibility(found.shares[i], left, pass.options) {
-                        Some(visible) => sum += visible * left,
+                    let transmitted = share * surface.transmitted(scene, &path, length);
+                    match surface.plain_visibility(found.shares[i], transmitted, pass.options) {
+                        Some(visible) => sum += visible * transmitted,
                         None => {
                             let slope = if pass.options.shadows == SceneShadows::Soft { slope } else { 0.0 };
-                            behind.push(Behind { light: i, left, place: surface.place_behind(), ray: way, slope });
+                            behind.push(Behind { light: i, transmitted, place: surface.place_behind(), ray: path, slope });
                         }
                     }
                 }
@@ -218,7 +218,7 @@ impl DeviceResults {
 struct Behind {
     light: usize,
     /// Fraction of the light that remains inside the instance.
-    left: Vec3,
+    transmitted: Vec3,
     place: SurfacePoint,
     ray: LightRay,
     slope: f32,
@@ -256,13 +256,15 @@ fn first_beams(pass: &Pass<'_>, surface: &LitSurface<'_>, beams: &mut Vec<Beam>,
         let (ray, slope, _) = light.seen_from(surface.place.p);
         if surface.needs_rays(&ray, pass.options) {
             let is_soft = pass.options.shadows == SceneShadows::Soft;
-            let ways = surface.ways(&ray, slope, pass.options.shadows);
-            beams.extend(ways.iter().map(|(way, slope)| beam(&surface.place, way, if is_soft { *slope } else { 0.0 })));
+            let paths = surface.paths(&ray, slope, pass.options.shadows);
+            beams.extend(
+                paths.iter().map(|(path, slope)| beam(&surface.place, path, if is_soft { *slope } else { 0.0 })),
+            );
         }
         if surface.scatters(pass.casters.scene) {
-            let ways = surface.ways(&ray, slope, pass.options.shadows);
-            let marched = ways.iter().filter(|(way, _)| pass.casters.chord(&surface.place, way).is_none());
-            inside.extend(marched.map(|(way, _)| beam(&surface.place, way, 0.0)));
+            let paths = surface.paths(&ray, slope, pass.options.shadows);
+            let marched = paths.iter().filter(|(path, _)| pass.casters.chord(&surface.place, path).is_none());
+            inside.extend(marched.map(|(path, _)| beam(&surface.place, path, 0.0)));
         }
     }
 }
@@ -285,8 +287,8 @@ fn parts_of_disc(disc: &Beam) -> impl Iterator<Item = Beam> {
 }
 
 /// Whether the cone to a light's disc must be divided. The cones of occlusion are never divided.
-fn is_undecided(beam: &Beam, answer: &Answer) -> bool {
-    is_disc(beam) && answer.is_proven == 0
+fn is_undecided(beam: &Beam, beam_result: &BeamResult) -> bool {
+    is_disc(beam) && beam_result.is_proven == 0
 }
 
 /// Whether a beam is a cone to the whole disc of a light.

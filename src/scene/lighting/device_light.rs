@@ -12,7 +12,7 @@ use crate::gpu::Context;
 use crate::gpu::constants::scene_counts::{
     GROUP, SPREAD, STAGE_CONES, STAGE_CUTS, STAGE_DISCS, STAGE_EDGES, STAGE_PARTS, STAGE_RAYS, STAGE_TILES, TILE,
 };
-use crate::gpu::layout::{Answer, BeamParams, CutParams, SurfaceLight, SurfaceParams, TileParams};
+use crate::gpu::layout::{BeamParams, BeamResult, CutParams, SurfaceLight, SurfaceParams, TileParams};
 use crate::gpu::pace::{Items, by_rate};
 use crate::gpu::pipeline::{BoundRange, Dispatch, DispatchSize, whole};
 use crate::gpu::shader::Instead;
@@ -24,7 +24,7 @@ use crate::scene::device::device_scene::{DeviceScene, work_of};
 use crate::scene::fields::shader_variants::BeamCases;
 use crate::scene::light::light_rays::{LightWork, PARTS};
 use crate::scene::light::lit_surface::{BIAS_TRIANGLE, LitSurface, SceneLight};
-use crate::scene::visibility::gbuffer::DeviceSeen;
+use crate::scene::visibility::gbuffer::DeviceVisibility;
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::ops::Range;
@@ -33,7 +33,7 @@ use std::sync::{Mutex, PoisonError};
 /// Largest distance of the eye from the middle of the scene, scene units. The device computes positions in float32
 /// along the ray, and a position must be precise to a fraction of a voxel.
 const MOST_DISTANCE: f64 = 16.0;
-/// Value of [`Answer::is_proven`] for a disc whose fraction is the mean of its parts, as in the shader.
+/// Value of [`BeamResult::is_proven`] for a disc whose fraction is the mean of its parts, as in the shader.
 const DIVIDED: u32 = 2;
 /// Largest number of answers in memory at a time: 40 MiB.
 const MOST_ANSWERS: u64 = 1 << 21;
@@ -41,8 +41,8 @@ const MOST_ANSWERS: u64 = 1 << 21;
 const FIRST_TILES: u64 = 4;
 
 /// Lights the faces that the device found. Returns false if the method does not apply to the picture.
-pub(crate) fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut LightBuffer) -> Result<bool, Error> {
-    let (Some(seen), Some(corners)) = (&pass.buffer.seen, device.faces()) else { return Ok(false) };
+pub(crate) fn light_faces(pass: &Pass<'_>, device: &DeviceScene, evaluated: &mut LightBuffer) -> Result<bool, Error> {
+    let (Some(visible), Some(corners)) = (&pass.buffer.visible, device.faces()) else { return Ok(false) };
     let scene = pass.casters.scene;
     let eye = scene.scene_from_world(pass.buffer.view.camera.eye);
     let lights = match pass.options.shadows {
@@ -57,11 +57,11 @@ pub(crate) fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut Lig
     let mut view = SurfaceParams {
         eye: eye.as_vec3().to_array(),
         width: pass.options.size[0],
-        ray: seen.rays[0].as_vec3().to_array(),
-        stride: seen.stride,
-        ray_x: seen.rays[1].as_vec3().to_array(),
+        ray: visible.rays[0].as_vec3().to_array(),
+        stride: visible.stride,
+        ray_x: visible.rays[1].as_vec3().to_array(),
         light_count: lights as u32,
-        ray_y: seen.rays[2].as_vec3().to_array(),
+        ray_y: visible.rays[2].as_vec3().to_array(),
         bias_voxels: BIAS_TRIANGLE,
         ..SurfaceParams::default()
     };
@@ -79,19 +79,19 @@ pub(crate) fn light_faces(pass: &Pass<'_>, device: &DeviceScene, known: &mut Lig
     let tiles = Tiles::of(pass.options.size);
     (view.height, view.tile_columns) = (pass.options.size[1], tiles.columns);
     (view.tile_count, view.tile_step) = (tiles.count, tiles.step);
-    let tile_answers = u64::from(GROUP) * lights as u64;
-    let chunk = (MOST_ANSWERS / tile_answers).min(tiles.places());
-    let buffers = device.light.on(context, &device.groups, chunk * tile_answers)?;
+    let tile_results = u64::from(GROUP) * lights as u64;
+    let chunk = (MOST_ANSWERS / tile_results).min(tiles.places());
+    let buffers = device.light.on(context, &device.groups, chunk * tile_results)?;
     context.write("view of surfaces", &buffers.view, 0, &[view])?;
     buffers.set_beam_params(context, DeviceScene::beam_params(pass.casters))?;
     let cases = BeamCases { has_far: pass.casters.far.is_some(), has_wide: false };
-    let work = FaceLight::new(device, seen, corners, &buffers, [has_cones, has_rays], cases)?;
+    let work = FaceLight::new(device, visible, corners, &buffers, [has_cones, has_rays], cases)?;
     let cost = (faces * lights) as f64 / tiles.places() as f64;
     for start in (0..tiles.places()).step_by(chunk as usize) {
         let count = chunk.min(tiles.places() - start);
-        let answers = work.answers(start, count, tile_answers, cost, pass.progress)?;
+        let beam_results = work.beam_results(start, count, tile_results, cost, pass.progress)?;
         let range = start as u32..(start + count) as u32;
-        take(pass, known, &tiles, range, &answers)?;
+        take(pass, evaluated, &tiles, range, &beam_results)?;
     }
     Ok(true)
 }
@@ -137,14 +137,14 @@ fn light_row(light: &SceneLight, shadows: SceneShadows) -> SurfaceLight {
 /// Stores the answers for a range of places of tiles.
 fn take(
     pass: &Pass<'_>,
-    known: &mut LightBuffer,
+    evaluated: &mut LightBuffer,
     tiles: &Tiles,
     range: Range<u32>,
-    answers: &[Answer],
+    beam_results: &[BeamResult],
 ) -> Result<(), Error> {
     let scene = pass.casters.scene;
     let lights = pass.lights.lights.len();
-    known.rows.par_iter_mut().enumerate().try_for_each(|(y, row)| {
+    evaluated.rows.par_iter_mut().enumerate().try_for_each(|(y, row)| {
         let mut total = LightWork::default();
         for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
             let (place, lane) = tiles.place(layer.x, y as u32);
@@ -156,11 +156,11 @@ fn take(
                 continue;
             }
             let first = ((place - range.start) * GROUP + lane) as usize * lights;
-            let mut found = answers[first..][..lights].iter();
+            let mut found = beam_results[first..][..lights].iter();
             let values = &mut row.values[i * stride(lights)..][..stride(lights)];
             if let Some(work) = take_pixel(pass, &surface, &mut found, values) {
                 row.work[i] = work;
-                row.is_known[i] = true;
+                row.is_evaluated[i] = true;
                 total += work;
             }
         }
@@ -174,7 +174,7 @@ fn take(
 fn take_pixel(
     pass: &Pass<'_>,
     surface: &LitSurface<'_>,
-    answers: &mut std::slice::Iter<'_, Answer>,
+    beam_results: &mut std::slice::Iter<'_, BeamResult>,
     values: &mut [f32],
 ) -> Option<LightWork> {
     let needs_faces = pass.casters.needs_faces(pass.lights, pass.options);
@@ -185,30 +185,30 @@ fn take_pixel(
     };
     let mut past_faces = past_faces.into_iter();
     // The product of an answer and the mean of the next `count` fractions past triangles.
-    let mut value = |answer: &Answer, count: u32| {
-        if answer.is_complete != 1 {
+    let mut value = |beam_result: &BeamResult, count: u32| {
+        if beam_result.is_complete != 1 {
             return None;
         }
-        work += work_of(answer);
-        work.rays += if answer.is_proven == DIVIDED { PARTS } else { 0 };
+        work += work_of(beam_result);
+        work.rays += if beam_result.is_proven == DIVIDED { PARTS } else { 0 };
         if !needs_faces {
-            return Some(answer.value);
+            return Some(beam_result.value);
         }
         let fractions: Vec<f32> = past_faces.by_ref().take(count as usize).collect();
-        if answer.is_proven == DIVIDED && fractions.iter().any(|&fraction| fraction != fractions[0]) {
+        if beam_result.is_proven == DIVIDED && fractions.iter().any(|&fraction| fraction != fractions[0]) {
             return None;
         }
-        Some(answer.value * fractions.iter().sum::<f32>() / count as f32)
+        Some(beam_result.value * fractions.iter().sum::<f32>() / count as f32)
     };
     let found = parts_of(values, pass.lights.lights.len());
     *found.open = 1.0;
     for (light, share) in pass.lights.lights.iter().zip(found.shares) {
-        let answer = answers.next();
+        let beam_result = beam_results.next();
         let (ray, slope, _) = light.seen_from(surface.place.p);
         let parts = if pass.options.shadows == SceneShadows::Soft && slope > 0.0 { PARTS } else { 1 };
         *share = match surface.plain_share(&ray, pass.options) {
             Some(share) => share,
-            None => value(answer?, parts)?,
+            None => value(beam_result?, parts)?,
         };
     }
     Some(work)
@@ -273,15 +273,16 @@ impl<'a> FaceLight<'a> {
     /// The kernels for a picture. `kinds` is whether any light needs cones, and whether any needs rays.
     fn new(
         device: &'a DeviceScene,
-        seen: &DeviceSeen,
+        visible: &DeviceVisibility,
         faces: &wgpu::Buffer,
         buffers: &'a Buffers,
         kinds: [bool; 2],
         cases: BeamCases,
     ) -> Result<Self, Error> {
         let [has_cones, has_rays] = kinds;
-        let Buffers { view, counts, groups, params, beams, cuts, answers, discs, parts, part_answers, edges, .. } =
-            buffers;
+        let Buffers {
+            view, counts, groups, params, beams, cuts, beam_results, discs, parts, part_results, edges, ..
+        } = buffers;
         let texts = device.beam_texts(cases);
         let kernel = |name, file, entry, texts: &[Instead], bindings: &[BoundRange<'_>], size| {
             let (pipeline, group) = device.kernel(name, file, entry, texts, bindings)?;
@@ -296,19 +297,19 @@ impl<'a> FaceLight<'a> {
             let bindings: Vec<_> = bindings.iter().copied().map(whole).chain([parameters]).collect();
             kernel(entry, "scene_surfaces", entry, &[], &bindings, Size::Stage(stage))
         };
-        let evaluate = |name, entry, stage: u32, beams, answers| {
+        let evaluate = |name, entry, stage: u32, beams, beam_results| {
             let parameters = (0, params, u64::from(stage) * STAGE_BYTES, size_of::<BeamParams>() as u64);
-            let bindings = device.beam_bindings(entry, parameters, cuts, beams, answers);
+            let bindings = device.beam_bindings(entry, parameters, cuts, beams, beam_results);
             kernel(name, "scene_beams", entry, &texts, &bindings, Size::Stage(stage))
         };
         let of_surfaces = [
-            (0, &seen.rows),
+            (0, &visible.rows),
             (1, view),
             (3, device.instances()),
-            (7, &seen.pixels),
+            (7, &visible.pixels),
             (8, faces),
             (9, beams),
-            (10, answers),
+            (10, beam_results),
             (11, counts),
         ];
         let mut bunch = vec![
@@ -318,43 +319,43 @@ impl<'a> FaceLight<'a> {
         ];
         let mut round = Vec::new();
         if has_rays {
-            bunch.push(evaluate("rays of surfaces", "rays", STAGE_RAYS, beams, answers)?);
+            bunch.push(evaluate("rays of surfaces", "rays", STAGE_RAYS, beams, beam_results)?);
         }
         if has_cones {
             let parameters = (0, params, u64::from(STAGE_CUTS) * STAGE_BYTES, size_of::<CutParams>() as u64);
             let bindings = [parameters, whole((1, device.nodes())), whole((2, cuts)), whole((7, beams))];
             bunch.push(kernel("tree cuts", "scene_cuts", "tree_cuts", &[], &bindings, Size::Stage(STAGE_CUTS))?);
-            bunch.push(evaluate("cones of surfaces", "cones", STAGE_CONES, beams, answers)?);
-            let of_cones = [(9, beams), (10, answers), (11, counts), (13, discs)];
+            bunch.push(evaluate("cones of surfaces", "cones", STAGE_CONES, beams, beam_results)?);
+            let of_cones = [(9, beams), (10, beam_results), (11, counts), (13, discs)];
             bunch.push(surfaces("collect_discs", STAGE_CONES, &of_cones)?);
             round.push(stages("next_discs", &[(0, counts), (1, groups), (2, params)])?);
             round.push(surfaces("divide", STAGE_DISCS, &[(9, beams), (12, parts), (13, discs)])?);
-            round.push(evaluate("cones of parts", "cones", STAGE_PARTS, parts, part_answers)?);
-            let at_edges = [(9, parts), (10, part_answers), (11, counts), (12, edges)];
+            round.push(evaluate("cones of parts", "cones", STAGE_PARTS, parts, part_results)?);
+            let at_edges = [(9, parts), (10, part_results), (11, counts), (12, edges)];
             round.push(surfaces("collect_edges", STAGE_PARTS, &at_edges)?);
             round.push(stages("count_edges", &[(0, counts), (1, groups), (2, params)])?);
-            round.push(evaluate("cones at edges", "edge_cones", STAGE_EDGES, edges, part_answers)?);
-            let joined = [(9, beams), (10, answers), (13, discs), (14, part_answers)];
+            round.push(evaluate("cones at edges", "edge_cones", STAGE_EDGES, edges, part_results)?);
+            let joined = [(9, beams), (10, beam_results), (13, discs), (14, part_results)];
             round.push(surfaces("join_parts", STAGE_DISCS, &joined)?);
         }
         let timer = device.timer.as_ref();
         Ok(Self { context: device.context(), rates: &device.light_rates, kinds, buffers, timer, bunch, round })
     }
 
-    /// The answers for `count` places of tiles from `start` on, with `tile_answers` each and this mean cost.
-    fn answers(
+    /// The answers for `count` places of tiles from `start` on, with `tile_results` each and this mean cost.
+    fn beam_results(
         &self,
         start: u64,
         count: u64,
-        tile_answers: u64,
+        tile_results: u64,
         cost: f64,
         progress: &Progress,
-    ) -> Result<Vec<Answer>, Error> {
+    ) -> Result<Vec<BeamResult>, Error> {
         let (context, buffers) = (self.context, self.buffers);
-        let mut answers = vec![Answer::default(); (count * tile_answers) as usize];
-        let bytes = size_of_val(&answers[..]) as u64;
+        let mut beam_results = vec![BeamResult::default(); (count * tile_results) as usize];
+        let bytes = size_of_val(&beam_results[..]) as u64;
         let result = buffers.result(context)?;
-        let bunch = u64::from(buffers.beams_fit) / tile_answers;
+        let bunch = u64::from(buffers.beams_fit) / tile_results;
         let items = Items { count, smallest: FIRST_TILES, cost };
         let rates = || self.rates.lock().unwrap_or_else(PoisonError::into_inner);
         let mut found = rates().get(&self.kinds).copied().unwrap_or(0.0);
@@ -372,17 +373,17 @@ impl<'a> FaceLight<'a> {
             let mut dispatches = Vec::new();
             for from in (0..tiles).step_by(bunch as usize) {
                 let size = bunch.min(tiles - from);
-                let rounds = (size * tile_answers).div_ceil(u64::from(buffers.discs_fit));
+                let rounds = (size * tile_results).div_ceil(u64::from(buffers.discs_fit));
                 let rounds = std::iter::repeat_n(&self.round, rounds as usize).flatten();
                 dispatches.extend(self.bunch.iter().chain(rounds).map(|kernel| kernel.dispatch(buffers)));
             }
-            let copy = (first + tiles == count).then_some((&buffers.answers, bytes, &result));
+            let copy = (first + tiles == count).then_some((&buffers.beam_results, bytes, &result));
             Ok(context.submit_all("the scene's light", &dispatches, copy, self.timer)?)
         })?;
         rates().insert(self.kinds, found);
-        context.finish("answers", &result, &mut answers)?;
+        context.finish("beam results", &result, &mut beam_results)?;
         buffers.keep_result(result);
-        Ok(answers)
+        Ok(beam_results)
     }
 }
 

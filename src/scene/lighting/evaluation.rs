@@ -36,7 +36,7 @@ const LEAST_LATTICE: u32 = 32;
 
 /// Units of progress that one call of [`find`] counts per row of the picture. The number is divisible by each possible
 /// number of lattices, 1 to 4.
-pub(crate) const FIND_WORTH: u64 = 12;
+pub(crate) const ROW_PROGRESS: u64 = 12;
 
 /// Number of calls of [`find`] and [`find_bounces`], by which a picture of this number of passes counts its progress.
 /// `is_lit` tells that [`find`] is not called, because the results of the last picture are reused.
@@ -53,15 +53,15 @@ fn find_apart(pass: &Pass<'_>) -> Result<LightBuffer, Error> {
     let no_lights = Lights { lights: Vec::new() };
     let open = find_at(&Pass { lights: &no_lights, ..*pass }, SMOOTH_SCALE)?;
     let options = RenderOptions { occlusion: None, ..pass.options.clone() };
-    let mut known = find_at(&Pass { options: &options, ..*pass }, options.light_scale)?;
-    let stride = known.stride;
-    for (row, open) in known.rows.iter_mut().zip(&open.rows) {
+    let mut evaluated = find_at(&Pass { options: &options, ..*pass }, options.light_scale)?;
+    let stride = evaluated.stride;
+    for (row, open) in evaluated.rows.iter_mut().zip(&open.rows) {
         for (i, (&value, &work)) in open.values.iter().zip(&open.work).enumerate() {
             row.values[i * stride] = value;
             row.work[i] += work;
         }
     }
-    Ok(known)
+    Ok(evaluated)
 }
 
 /// Computes the light of a pass. If a G-buffer with light is given, the light is interpolated from it wherever its
@@ -85,9 +85,9 @@ pub(crate) fn find_bounces(
     if let Some((buffer, centre)) = centre {
         return find_between(&pass, buffer, centre);
     }
-    let mut own = unknown(&pass);
+    let mut own = unevaluated(&pass);
     if !pass.options.denoise {
-        evaluate(&pass, &mut own, &|_, _| true, FIND_WORTH)?;
+        evaluate(&pass, &mut own, &|_, _| true, ROW_PROGRESS)?;
         return Ok(own);
     }
     let [width, height] = pass.options.size;
@@ -98,12 +98,12 @@ pub(crate) fn find_bounces(
     let guide = find_at(&Pass { own_paths: false, ..pass }, every)?;
     let is_evaluated = |work: &LightWork| work.rays > 0;
     for (own, guide) in own.rows.iter_mut().zip(&guide.rows) {
-        own.is_known = guide.work.iter().map(|work| !is_evaluated(work)).collect();
+        own.is_evaluated = guide.work.iter().map(|work| !is_evaluated(work)).collect();
     }
-    evaluate(&pass, &mut own, &|_, _| true, FIND_WORTH)?;
+    evaluate(&pass, &mut own, &|_, _| true, ROW_PROGRESS)?;
     for (own, guide) in own.rows.iter_mut().zip(&guide.rows) {
-        for ((known, work), &common) in own.is_known.iter_mut().zip(&mut own.work).zip(&guide.work) {
-            *known = is_evaluated(&common);
+        for ((evaluated, work), &common) in own.is_evaluated.iter_mut().zip(&mut own.work).zip(&guide.work) {
+            *evaluated = is_evaluated(&common);
             *work += common;
         }
     }
@@ -112,40 +112,40 @@ pub(crate) fn find_bounces(
 
 /// Interpolates light from a G-buffer at the centres of the pixels, and evaluates the rest.
 fn find_between(pass: &Pass<'_>, buffer: &GBuffer, centre: &LightBuffer) -> Result<LightBuffer, Error> {
-    let mut known = unknown(pass);
-    gather(pass, &mut known, buffer, centre, [1, 1])?;
-    evaluate(pass, &mut known, &|_, _| true, FIND_WORTH)?;
-    Ok(known)
+    let mut evaluated = unevaluated(pass);
+    gather(pass, &mut evaluated, buffer, centre, [1, 1])?;
+    evaluate(pass, &mut evaluated, &|_, _| true, ROW_PROGRESS)?;
+    Ok(evaluated)
 }
 
 /// A buffer for the light of a pass.
-fn unknown(pass: &Pass<'_>) -> LightBuffer {
+fn unevaluated(pass: &Pass<'_>) -> LightBuffer {
     LightBuffer::new(pass.buffer, pass.bounces.is_none().then_some(pass.lights.lights.len()))
 }
 
 /// Evaluates every pixel of a lattice whose pixels are `every` apart. Then the lattice is halved until it is the
 /// picture: each step interpolates from the coarser lattice, and evaluates the pixels whose neighbours disagree.
 fn find_at(pass: &Pass<'_>, every: u32) -> Result<LightBuffer, Error> {
-    let mut known = unknown(pass);
-    let worth = FIND_WORTH / u64::from(every.ilog2() + 1);
+    let mut evaluated = unevaluated(pass);
+    let row_progress = ROW_PROGRESS / u64::from(every.ilog2() + 1);
     let mut every = every;
     if every == 1
         && let Some(device) = pass.device
-        && light_faces(pass, device, &mut known)?
-        && known.is_almost_complete()
+        && light_faces(pass, device, &mut evaluated)?
+        && evaluated.is_almost_complete()
     {
         // For so few surfaces the upload of the beams costs more than their evaluation on the CPU.
-        evaluate(&Pass { device: None, ..*pass }, &mut known, &|_, _| true, worth)?;
-        return Ok(known);
+        evaluate(&Pass { device: None, ..*pass }, &mut evaluated, &|_, _| true, row_progress)?;
+        return Ok(evaluated);
     }
     loop {
-        evaluate(pass, &mut known, &|x, y| x % every == 0 && y % every == 0, worth)?;
+        evaluate(pass, &mut evaluated, &|x, y| x % every == 0 && y % every == 0, row_progress)?;
         if every == 1 {
-            return Ok(known);
+            return Ok(evaluated);
         }
-        let coarse = std::mem::replace(&mut known, unknown(pass));
-        gather(pass, &mut known, pass.buffer, &coarse, [every, every / 2])?;
-        known.keep(coarse);
+        let coarse = std::mem::replace(&mut evaluated, unevaluated(pass));
+        gather(pass, &mut evaluated, pass.buffer, &coarse, [every, every / 2])?;
+        evaluated.keep(coarse);
         every /= 2;
     }
 }
@@ -153,30 +153,30 @@ fn find_at(pass: &Pass<'_>, every: u32) -> Result<LightBuffer, Error> {
 /// Evaluates the missing light at the requested pixels. Each row counts as the same amount of progress.
 fn evaluate(
     pass: &Pass<'_>,
-    known: &mut LightBuffer,
-    wanted: &(dyn Fn(u32, u32) -> bool + Sync),
-    worth: u64,
+    evaluated: &mut LightBuffer,
+    is_requested: &(dyn Fn(u32, u32) -> bool + Sync),
+    row_progress: u64,
 ) -> Result<(), Error> {
     if let Some(device) = pass.device {
-        return evaluate_by_beams(pass, device, known, wanted, worth);
+        return evaluate_by_beams(pass, device, evaluated, is_requested, row_progress);
     }
-    let (lights, stride) = (known.lights, known.stride);
+    let (lights, stride) = (evaluated.lights, evaluated.stride);
     let is_shared = Tiles::are_useful(pass);
-    known.rows.par_chunks_mut(TILE).enumerate().try_for_each(|(band, rows)| {
+    evaluated.rows.par_chunks_mut(TILE).enumerate().try_for_each(|(band, rows)| {
         let first = band * TILE;
         let mut tiles = Tiles::new(pass, [first as u32, (first + rows.len() - 1) as u32]);
         let lines = || first..first + TILE;
         if is_shared {
             for (y, row) in lines().zip(&*rows) {
-                let layers = pass.buffer.rows[y].iter().zip(&row.is_known);
+                let layers = pass.buffer.rows[y].iter().zip(&row.is_evaluated);
                 layers
-                    .filter(|(layer, known)| !**known && wanted(layer.x, y as u32))
+                    .filter(|(layer, evaluated)| !**evaluated && is_requested(layer.x, y as u32))
                     .for_each(|(layer, _)| tiles.add(layer));
             }
         }
         for (y, row) in lines().zip(rows) {
-            evaluate_row(pass, &mut tiles, (y, row), wanted, [lights, stride])?;
-            pass.progress.advance(worth)?;
+            evaluate_row(pass, &mut tiles, (y, row), is_requested, [lights, stride])?;
+            pass.progress.advance(row_progress)?;
         }
         Ok(())
     })
@@ -187,12 +187,12 @@ fn evaluate_row(
     pass: &Pass<'_>,
     tiles: &mut Tiles<'_>,
     (y, row): (usize, &mut LightRow),
-    wanted: &(dyn Fn(u32, u32) -> bool + Sync),
+    is_requested: &(dyn Fn(u32, u32) -> bool + Sync),
     [lights, stride]: [usize; 2],
 ) -> Result<(), Error> {
     let (mut total, mut occluders) = (LightWork::default(), Occluders::default());
     for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
-        if !row.is_known[i] && wanted(layer.x, y as u32) {
+        if !row.is_evaluated[i] && is_requested(layer.x, y as u32) {
             let surface = LitSurface::new(pass.casters.scene, pass.buffer, y, layer);
             let values = &mut row.values[i * stride..][..stride];
             let work = match pass.bounces {
@@ -206,12 +206,12 @@ fn evaluate_row(
                 }
                 None => {
                     let (mut found, near) = (parts_of(values, lights), tiles.occluders(layer));
-                    surface.look(pass.casters, near, pass.lights, pass.options, &mut occluders, &mut found)
+                    surface.evaluate(pass.casters, near, pass.lights, pass.options, &mut occluders, &mut found)
                 }
             };
             row.work[i] = work;
             total += work;
-            row.is_known[i] = true;
+            row.is_evaluated[i] = true;
         }
     }
     pass.counters.add(total);

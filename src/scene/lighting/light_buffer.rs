@@ -27,7 +27,7 @@ pub(crate) struct LightBuffer {
 
 #[derive(Default)]
 pub(crate) struct LightRow {
-    pub is_known: Vec<bool>,
+    pub is_evaluated: Vec<bool>,
     /// For each layer: ambient fraction, one fraction per light, three fractions per light for transmitted light. In a
     /// buffer of indirect light: RGB.
     pub values: Vec<f32>,
@@ -39,7 +39,7 @@ impl LightBuffer {
     pub(crate) fn new(buffer: &GBuffer, lights: Option<usize>) -> Self {
         let stride = lights.map_or(3, stride);
         let row = |layers: &Vec<Layer>| LightRow {
-            is_known: vec![false; layers.len()],
+            is_evaluated: vec![false; layers.len()],
             values: vec![0.0; layers.len() * stride],
             work: vec![LightWork::default(); layers.len()],
         };
@@ -59,8 +59,9 @@ impl LightBuffer {
 
     /// Whether the light of at most one layer in [`FEW`] is missing.
     pub(crate) fn is_almost_complete(&self) -> bool {
-        let known = self.rows.iter().flat_map(|row| &row.is_known);
-        let [count, missing] = known.fold([0, 0], |[count, missing], known| [count + 1, missing + usize::from(!known)]);
+        let evaluated = self.rows.iter().flat_map(|row| &row.is_evaluated);
+        let [count, missing] =
+            evaluated.fold([0, 0], |[count, missing], evaluated| [count + 1, missing + usize::from(!evaluated)]);
         missing * FEW <= count
     }
 
@@ -75,8 +76,8 @@ impl LightBuffer {
     pub(crate) fn keep(&mut self, evaluated: Self) {
         let stride = self.stride;
         for (row, evaluated) in self.rows.iter_mut().zip(evaluated.rows) {
-            for i in (0..evaluated.is_known.len()).filter(|&i| evaluated.is_known[i]) {
-                row.is_known[i] = true;
+            for i in (0..evaluated.is_evaluated.len()).filter(|&i| evaluated.is_evaluated[i]) {
+                row.is_evaluated[i] = true;
                 row.work[i] = evaluated.work[i];
                 row.values[i * stride..][..stride].copy_from_slice(&evaluated.values[i * stride..][..stride]);
             }

@@ -25,7 +25,7 @@ use rustc_hash::FxHashMap;
 pub(crate) const TILE: usize = 8;
 
 /// Smallest number of evaluated surfaces in a tile for which a list is made.
-const WORTH: u32 = 8;
+const LEAST_PIXELS: u32 = 8;
 
 /// Margin for the rounding of the radius, scene units.
 const ROUNDING: f64 = 1e-6;
@@ -73,7 +73,7 @@ impl<'a> Tiles<'a> {
     /// For each light the instances that may block it from a surface; `None` if a list is not worth its cost.
     pub(crate) fn occluders(&mut self, layer: &Layer) -> Option<&[NearList]> {
         let Self { pass, rows, tiles } = self;
-        let tile = tiles.get_mut(&key(layer)).filter(|tile| tile.count >= WORTH)?;
+        let tile = tiles.get_mut(&key(layer)).filter(|tile| tile.count >= LEAST_PIXELS)?;
         if tile.occluders.is_empty() {
             let (center, radius) = ball_of(pass, *rows, key(layer).0, tile.depth);
             let lights = pass.lights.lights.iter();

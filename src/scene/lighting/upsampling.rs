@@ -65,16 +65,16 @@ const NORMAL_VARIANCE: f32 = 0.01;
 /// at every `every`-th pixel. Values are interpolated at every `finer`-th pixel.
 pub(crate) fn gather(
     pass: &Pass<'_>,
-    known: &mut LightBuffer,
+    light: &mut LightBuffer,
     source: &GBuffer,
     evaluated: &LightBuffer,
     [every, finer]: [u32; 2],
 ) -> Result<(), Error> {
-    let stride = known.stride;
+    let stride = light.stride;
     // Without lights, these are the values of occlusion or of indirect light.
     let open = pass.lights.lights.is_empty().then(|| OpenLimits::new(every));
     let agree = AGREE * (2.0 / every as f32).min(1.0);
-    known.rows.par_iter_mut().enumerate().try_for_each(|(y, row)| {
+    light.rows.par_iter_mut().enumerate().try_for_each(|(y, row)| {
         let mut neighbours = Vec::with_capacity(4);
         for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
             if !layer.x.is_multiple_of(finer) || !(y as u32).is_multiple_of(finer) {
@@ -88,11 +88,11 @@ pub(crate) fn gather(
             let around = Around::new(pass.buffer, (y, layer), (source, evaluated), every);
             if let Some(limits) = open {
                 let unit = pass.bounces.map(|_| least_level(pass.options));
-                row.is_known[i] = around.smooth_light(&limits, unit, &mut neighbours, values);
+                row.is_evaluated[i] = around.smooth_light(&limits, unit, &mut neighbours, values);
                 continue;
             }
             around.fitting(SAME_NORMAL, &mut neighbours);
-            row.is_known[i] = mean(&neighbours, agree, values);
+            row.is_evaluated[i] = mean(&neighbours, agree, values);
             let surface = LitSurface::new(pass.casters.scene, pass.buffer, y, layer);
             for (light, share) in pass.lights.lights.iter().zip(&mut values[1..]) {
                 if let Some(plain) = surface.plain_share(&light.seen_from(surface.place.p).0, pass.options) {

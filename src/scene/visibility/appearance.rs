@@ -96,8 +96,8 @@ impl<'a> FaceAppearance<'a> {
 }
 
 /// Linear RGB of a field at a hit.
-pub(crate) fn field_color(instance: &Instance, material: &Material, look: &SurfaceAppearance) -> Vec3 {
-    let own = look.color.filter(|_| instance.own_colors);
+pub(crate) fn field_color(instance: &Instance, material: &Material, appearance: &SurfaceAppearance) -> Vec3 {
+    let own = appearance.color.filter(|_| instance.own_colors);
     Vec3::from_array(own.unwrap_or([material.color[0], material.color[1], material.color[2]]))
 }
 

@@ -34,7 +34,7 @@ pub(crate) struct GBuffer {
     pub steps: Vec<Vec<u32>>,
     pub view: View,
     /// The same picture in the memory of the device, if the device drew all of it.
-    pub seen: Option<DeviceSeen>,
+    pub visible: Option<DeviceVisibility>,
 }
 
 /// The camera in float64, with the position in a pixel that its rays pass through.
@@ -82,7 +82,7 @@ impl View {
 
 /// The faces that a device found, in its memory.
 #[derive(Debug)]
-pub(crate) struct DeviceSeen {
+pub(crate) struct DeviceVisibility {
     /// Four words per pixel, with this number of pixels per row in memory.
     pub pixels: wgpu::Buffer,
     pub stride: u32,

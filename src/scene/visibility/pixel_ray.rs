@@ -92,11 +92,11 @@ impl PixelRay<'_> {
                 return limit;
             }
             steps += 1;
-            let seen = |depth: f64| before.iter().any(|layer| layer.instance == item && layer.depth >= depth);
+            let was_found = |depth: f64| before.iter().any(|layer| layer.instance == item && layer.depth >= depth);
             let found = if as_triangles(instance, self.options.primary) {
-                self.triangle(item, eye, direction, from, nearest, &seen)
+                self.triangle(item, eye, direction, from, nearest, &was_found)
             } else {
-                self.field(item, eye, direction, [from, nearest], &seen, &mut steps)
+                self.field(item, eye, direction, [from, nearest], &was_found, &mut steps)
             };
             if let Some(layer) = found {
                 nearest = layer.depth;
@@ -140,12 +140,12 @@ impl PixelRay<'_> {
         direction: DVec3,
         from: f64,
         nearest: f64,
-        seen: &dyn Fn(f64) -> bool,
+        was_found: &dyn Fn(f64) -> bool,
     ) -> Option<Layer> {
         let ray = self.mesh_ray(item, eye, direction)?;
         let hit = ray.triangles.mesh.first_hit(&Ray { t_max: nearest, ..ray.in_tree }, |hit| {
             let is_drawn = || self.skips_opaque && is_opaque(ray.instance, ray.material(hit));
-            hit.t >= from && !seen(hit.t) && !is_drawn() && ray.is_seen(hit)
+            hit.t >= from && !was_found(hit.t) && !is_drawn() && ray.is_visible(hit)
         })?;
         Some(ray.layer(self.x, item, &hit))
     }
@@ -156,7 +156,7 @@ impl PixelRay<'_> {
         let eye = self.scene.scene_from_world(self.start());
         let ray = self.mesh_ray(item, eye, self.view.direction(self.x, self.y))?;
         let hit = ray.triangles.mesh.hit_of_face(face, &ray.in_tree)?;
-        ray.is_seen(&hit).then(|| ray.layer(self.x, item, &hit))
+        ray.is_visible(&hit).then(|| ray.layer(self.x, item, &hit))
     }
 
     fn mesh_ray(&self, item: u32, eye: DVec3, direction: DVec3) -> Option<MeshRay<'_>> {
@@ -184,14 +184,14 @@ impl PixelRay<'_> {
         eye: DVec3,
         direction: DVec3,
         [from, nearest]: [f64; 2],
-        seen: &dyn Fn(f64) -> bool,
+        was_found: &dyn Fn(f64) -> bool,
         steps: &mut u32,
     ) -> Option<Layer> {
         let scene = self.scene;
         let instance = &scene.instances[item as usize];
         let field = instance.field.as_deref()?;
         // A solid is one layer: the surfaces behind its front are inside it.
-        if seen(f64::NEG_INFINITY) {
+        if was_found(f64::NEG_INFINITY) {
             return None;
         }
         let origin = instance.field_from_scene.transform_point3(eye);
@@ -245,7 +245,7 @@ impl PixelRay<'_> {
         let instance = &self.scene.instances[item as usize];
         let field = instance.field.as_deref()?;
         let to_eye = -direction.normalize().as_vec3();
-        let look = field.appearance(p, hit, (instance.field_from_scene.matrix3 * direction).as_vec3());
+        let appearance = field.appearance(p, hit, (instance.field_from_scene.matrix3 * direction).as_vec3());
         let normal = if is_cut {
             // The face through which the ray entered.
             let [lower, upper] = field.surface_bounds();
@@ -257,10 +257,10 @@ impl PixelRay<'_> {
         } else if hit.at_start {
             to_eye
         } else {
-            (instance.scene_from_normal * look.normal).normalize_or(to_eye)
+            (instance.scene_from_normal * appearance.normal).normalize_or(to_eye)
         };
         let material = &self.scene.materials[instance.first_material as usize];
-        let mut color = field_color(instance, material, &look).extend(material.color[3]);
+        let mut color = field_color(instance, material, &appearance).extend(material.color[3]);
         if material.alpha != Alpha::Blend {
             color.w = 1.0;
         }
@@ -302,7 +302,7 @@ impl MeshRay<'_> {
     }
 
     /// Whether a face is visible from this side, and not cut out by its mask.
-    fn is_seen(&self, hit: &FaceHit) -> bool {
+    fn is_visible(&self, hit: &FaceHit) -> bool {
         let material = self.material(hit);
         // The visible side is the same in any space, mirrored or not.
         if !material.two_sided && !hit.is_front {
@@ -335,15 +335,15 @@ impl MeshRay<'_> {
             color.w = 1.0;
         }
         color.w *= self.instance.opacity;
-        let look = self.appearance(hit);
+        let appearance = self.appearance(hit);
         Layer {
             x,
             instance: item,
-            material: look.material_index(),
+            material: appearance.material_index(),
             depth: hit.t,
-            normal: look.normal_toward(self.direction.as_vec3(), hit.is_front),
+            normal: appearance.normal_toward(self.direction.as_vec3(), hit.is_front),
             color,
-            emission: look.emission(|| self.pixel(hit)),
+            emission: appearance.emission(|| self.pixel(hit)),
             to_smooth: self.triangles.to_smooth_surface(hit.face, hit.weights, hit.is_front),
             is_triangle: true,
             is_from_device: false,

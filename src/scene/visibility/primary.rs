@@ -31,13 +31,13 @@ pub(crate) fn draw(
     let pairs: Vec<Vec<(Vec<Layer>, Vec<u32>)>> = bands
         .map(|band| {
             let rows = band * BAND_ROWS..((band + 1) * BAND_ROWS).min(height);
-            let seen = rasterizer.band(rows.clone());
-            rows.zip(seen.chunks_exact(width as usize))
-                .map(|(y, seen)| {
+            let visible = rasterizer.band(rows.clone());
+            rows.zip(visible.chunks_exact(width as usize))
+                .map(|(y, visible)| {
                     let searched = rasterizer.searched(y);
                     let row = draw_row(scene, options, &view, y, |ray, layers| {
                         let x = ray.x as usize;
-                        rasterizer.resolve(ray, &seen[x], searched[x], layers);
+                        rasterizer.resolve(ray, &visible[x], searched[x], layers);
                     });
                     progress.advance(1)?;
                     Ok(row)
@@ -46,5 +46,5 @@ pub(crate) fn draw(
         })
         .collect::<Result<_, Error>>()?;
     let (rows, steps) = pairs.into_iter().flatten().unzip();
-    Ok(GBuffer { rows, steps, view, seen: None })
+    Ok(GBuffer { rows, steps, view, visible: None })
 }

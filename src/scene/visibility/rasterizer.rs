@@ -125,17 +125,17 @@ impl<'a> Rasterizer<'a> {
     /// The nearest faces of the pixels of some rows.
     pub(crate) fn band(&self, rows: Range<u32>) -> Vec<VisibleFace> {
         let width = self.screen.size[0];
-        let mut seen = vec![NOTHING; width as usize * rows.len()];
+        let mut visible = vec![NOTHING; width as usize * rows.len()];
         for mesh in self.meshes.iter().filter(|mesh| overlap(&mesh.rows, &rows).is_some()) {
             for (face, [columns, face_rows]) in &mesh.kept {
                 if let Some(part) = overlap(face_rows, &rows) {
                     let corners = mesh.faces[*face as usize].map(|vertex| mesh.corners[vertex as usize]);
-                    let target = Target { seen: &mut seen, first_row: rows.start, width };
+                    let target = Target { visible: &mut visible, first_row: rows.start, width };
                     self.screen.fill(corners, [columns.clone(), part], target, mesh.item, *face);
                 }
             }
         }
-        seen
+        visible
     }
 
     /// For each pixel of a row, whether the box of an instance that is left to the search covers it.
@@ -153,16 +153,16 @@ impl<'a> Rasterizer<'a> {
     pub(crate) fn resolve<'b>(
         &'b self,
         ray: &mut PixelRay<'b>,
-        seen: &VisibleFace,
+        visible: &VisibleFace,
         is_searched: bool,
         layers: &mut Vec<Layer>,
     ) {
-        if seen.is_unsure() {
+        if visible.is_unsure() {
             return ray.trace(layers, None);
         }
         let mut behind = None;
-        if seen.depth < f64::INFINITY {
-            behind = ray.face(seen.item, seen.face);
+        if visible.depth < f64::INFINITY {
+            behind = ray.face(visible.item, visible.face);
             if behind.is_none() {
                 return ray.trace(layers, None);
             }
@@ -207,7 +207,7 @@ fn overlap(a: &Range<u32>, b: &Range<u32>) -> Option<Range<u32>> {
 
 /// The pixels of a band.
 struct Target<'a> {
-    seen: &'a mut [VisibleFace],
+    visible: &'a mut [VisibleFace],
     first_row: u32,
     width: u32,
 }
@@ -334,7 +334,7 @@ impl Screen {
             let step = edges.map(|edge| self.pixel * edge.x);
             let span = if is_edge_on { columns.clone() } else { inside(at, step, unsure, columns.clone()) };
             let facing = (self.first[0] * normal.x + along_y * normal.y + normal.z, self.pixel * normal.x);
-            let row = &mut target.seen[((y - target.first_row) * target.width) as usize..][..target.width as usize];
+            let row = &mut target.visible[((y - target.first_row) * target.width) as usize..][..target.width as usize];
             for x in span {
                 let column = f64::from(x);
                 let value: [f64; 3] = std::array::from_fn(|i| at[i] + column * step[i]);
@@ -548,9 +548,9 @@ mod tests {
                 }
                 assert!(count > 500, "{count} layers from {eye}");
                 let rasterizer = Rasterizer::new(&scene, &options, &view);
-                let seen: Vec<VisibleFace> = (0..options.size[1]).flat_map(|y| rasterizer.band(y..y + 1)).collect();
-                let unsure = seen.iter().filter(|seen| seen.is_unsure()).count();
-                let found = seen.iter().filter(|seen| seen.depth < f64::INFINITY).count();
+                let visible: Vec<VisibleFace> = (0..options.size[1]).flat_map(|y| rasterizer.band(y..y + 1)).collect();
+                let unsure = visible.iter().filter(|visible| visible.is_unsure()).count();
+                let found = visible.iter().filter(|visible| visible.depth < f64::INFINITY).count();
                 assert!(found > 400, "{found} of {unsure} unsure");
             }
         }
@@ -569,17 +569,17 @@ mod tests {
 
     #[test]
     fn close_depths_are_unsure() {
-        let mut seen = NOTHING;
-        assert!(!seen.is_unsure());
-        seen.add(2.0, 1, 7);
-        seen.add(3.0, 2, 8);
-        assert!(!seen.is_unsure() && (seen.item, seen.face) == (1, 7));
-        seen.add(2.0, 3, 9);
-        assert!(seen.is_unsure());
+        let mut visible = NOTHING;
+        assert!(!visible.is_unsure());
+        visible.add(2.0, 1, 7);
+        visible.add(3.0, 2, 8);
+        assert!(!visible.is_unsure() && (visible.item, visible.face) == (1, 7));
+        visible.add(2.0, 3, 9);
+        assert!(visible.is_unsure());
         // A nearer face hides both.
-        seen.add(1.0, 4, 1);
-        assert!(!seen.is_unsure() && seen.item == 4);
-        seen.unsure = 0.0;
-        assert!(seen.is_unsure());
+        visible.add(1.0, 4, 1);
+        assert!(!visible.is_unsure() && visible.item == 4);
+        visible.unsure = 0.0;
+        assert!(visible.is_unsure());
     }
 }
