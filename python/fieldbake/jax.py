@@ -17,12 +17,15 @@ from typing import Any
 import numpy as np
 
 from .assemblies.assembly import Assembly
-from .assemblies.derivatives import linearize_assembly
+from .assemblies.derivatives import linearize_assembly, linearize_clearance
 from .base.optional import optional_module
 from .meshes.mesh import Mesh
 from .queries.derivatives import interpolate, linearize, vertex_changes
 
-__all__ = ["assembly_distance", "assembly_poses", "sample", "signed_distance"]
+__all__ = ["assembly_clearance", "assembly_distance", "assembly_poses", "sample", "signed_distance"]
+
+#: Pairs of rows of bodies, which JAX can hash.
+RowPairs = tuple[tuple[int, int], ...]
 
 
 def signed_distance(vertices: Any, faces: Any, points: Any, mesh: Mesh | None = None) -> Any:
@@ -190,6 +193,81 @@ def assembly_distance(assembly: Assembly, poses: Any, points: Any) -> Any:
     """
     jax = optional_module("jax", "fieldbake.jax", extra="jax")
     return _assembly_function()(assembly, jax.numpy.asarray(poses), jax.numpy.asarray(points))
+
+
+def assembly_clearance(assembly: Assembly, poses: Any, pairs: Any = None) -> Any:
+    """Evaluate the clearances of pairs of bodies, differentiable in poses by reverse mode.
+
+    Parameters
+    ----------
+    assembly : Assembly
+        Bodies with their geometry.
+    poses : (n, 4, 4) or (b, n, 4, 4) array of floats
+        Rigid world-from-body poses, in float64 or orthonormal to 1e-6.
+    pairs : (k, 2) of int or str, optional
+        The pairs, by rows or names. The default is `Assembly.pairs`.
+
+    Returns
+    -------
+    (k,) or (b, k) array
+        Distances of the pairs in the dtype of `poses`, world units, negative where bodies overlap.
+
+    Raises
+    ------
+    Error
+        If JAX is not installed.
+    ArgumentError
+        As for :meth:`fieldbake.Assembly.clearance`.
+
+    Notes
+    -----
+    The derivatives are the same as in :func:`fieldbake.torch.assembly_clearance`. Only reverse mode is provided.
+
+    Examples
+    --------
+    >>> import jax
+    >>> import fieldbake as fb
+    >>> from fieldbake.jax import assembly_clearance, assembly_poses
+    >>> slide = fb.Joint("slide", "prismatic", "a", "b", axis=(0, 0, 1))
+    >>> pair = fb.Assembly({"a": fb.sphere(1), "b": fb.sphere(1)}, [slide])
+    >>> gap = lambda values: assembly_clearance(pair, assembly_poses(pair, values), [("a", "b")])[0]
+    >>> jax.grad(gap)(jax.numpy.array([3.0])).tolist()
+    [1.0]
+    """
+    jax = optional_module("jax", "fieldbake.jax", extra="jax")
+    return _clearance_function()(assembly, tuple(assembly._chosen_pairs(pairs)), jax.numpy.asarray(poses))
+
+
+@cache
+def _clearance_function() -> Any:
+    """The function of :func:`assembly_clearance` with its reverse-mode derivative."""
+    jax = optional_module("jax", "fieldbake.jax", extra="jax")
+
+    def evaluate(assembly: Assembly, pairs: RowPairs, poses: Any) -> Any:
+        shape = (*poses.shape[:-3], len(pairs))
+        result = tuple(jax.ShapeDtypeStruct((*shape, *rest), poses.dtype) for rest in ((), (2, 3, 4)))
+
+        def on_host(poses: Any) -> Any:
+            return linearize_clearance(assembly, np.asarray(poses), pairs)
+
+        return jax.pure_callback(on_host, result, poses, vmap_method="sequential")
+
+    @partial(jax.custom_vjp, nondiff_argnums=(0, 1))
+    def distance(assembly: Assembly, pairs: RowPairs, poses: Any) -> Any:
+        return evaluate(assembly, pairs, poses)[0]
+
+    def forward(assembly: Assembly, pairs: RowPairs, poses: Any) -> Any:
+        distances, slopes = evaluate(assembly, pairs, poses)
+        return distances, (slopes, poses)
+
+    def backward(_: Assembly, pairs: RowPairs, kept: Any, change: Any) -> Any:
+        slopes, poses = kept
+        of_rows = (change[..., None, None, None] * slopes).reshape(*poses.shape[:-3], 2 * len(pairs), 3, 4)
+        rows = np.array(pairs, dtype=np.int64).ravel()
+        return (jax.numpy.zeros_like(poses).at[..., rows, :3, :].add(of_rows),)
+
+    distance.defvjp(forward, backward)
+    return distance
 
 
 @cache

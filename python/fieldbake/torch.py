@@ -14,12 +14,12 @@ from functools import cache
 from typing import Any
 
 from .assemblies.assembly import Assembly
-from .assemblies.derivatives import linearize_assembly, pose_changes
+from .assemblies.derivatives import linearize_assembly, linearize_clearance, pose_changes
 from .base.optional import optional_module
 from .meshes.mesh import Mesh
 from .queries.derivatives import interpolate, linearize, vertex_changes
 
-__all__ = ["assembly_distance", "assembly_poses", "sample", "signed_distance"]
+__all__ = ["assembly_clearance", "assembly_distance", "assembly_poses", "sample", "signed_distance"]
 
 
 def signed_distance(vertices: Any, faces: Any, points: Any, mesh: Mesh | None = None) -> Any:
@@ -182,6 +182,78 @@ def assembly_distance(assembly: Assembly, poses: Any, points: Any) -> Any:
     >>> assembly_distance(ball, torch.eye(4)[None], point).sum().backward()  # doctest: +SKIP
     """
     return _assembly_function().apply(assembly, poses, points)
+
+
+def assembly_clearance(assembly: Assembly, poses: Any, pairs: Any = None) -> Any:
+    """Evaluate the clearances of pairs of bodies, differentiable in poses.
+
+    Parameters
+    ----------
+    assembly : Assembly
+        Bodies with their geometry.
+    poses : (n, 4, 4) or (b, n, 4, 4) tensor of floats
+        Rigid world-from-body poses, in float64 or orthonormal to 1e-6.
+    pairs : (k, 2) of int or str, optional
+        The pairs, by rows or names. The default is `Assembly.pairs`.
+
+    Returns
+    -------
+    (k,) or (b, k) tensor
+        Distances of the pairs in the dtype and on the device of `poses`, world units, negative where bodies overlap.
+
+    Raises
+    ------
+    Error
+        If PyTorch is not installed.
+    ArgumentError
+        As for :meth:`fieldbake.Assembly.clearance`.
+
+    Notes
+    -----
+    With the unit normal n from the second body to the first, and the nearest points x and y in the frames of their
+    bodies, the derivatives by the upper rows of both poses are ``outer(n, (x, 1))`` and ``-outer(n, (y, 1))``. They are
+    exact for separate bodies with one pair of nearest points. For overlapping bodies they are exact where the largest
+    ball of the overlap touches each surface at one point, and the value has the error of
+    :meth:`fieldbake.Assembly.clearance`.
+
+    Examples
+    --------
+    >>> import torch  # doctest: +SKIP
+    >>> from fieldbake.torch import assembly_clearance, assembly_poses
+    >>> values = torch.zeros(7, dtype=torch.float64, requires_grad=True)  # doctest: +SKIP
+    >>> assembly_clearance(robot, assembly_poses(robot, values)).min().backward()  # doctest: +SKIP
+    """
+    torch = optional_module("torch", "fieldbake.torch", extra="torch")
+    return _clearance_function().apply(assembly, assembly._chosen_pairs(pairs), torch.as_tensor(poses))
+
+
+@cache
+def _clearance_function() -> Any:
+    """The autograd function of :func:`assembly_clearance`."""
+    torch = optional_module("torch", "fieldbake.torch", extra="torch")
+
+    class AssemblyClearance(torch.autograd.Function):  # type: ignore[misc, name-defined]
+        @staticmethod
+        def forward(context: Any, assembly: Assembly, pairs: list[tuple[int, int]], poses: Any) -> Any:
+            distances, slopes = (
+                torch.from_numpy(array).to(poses.device)
+                for array in linearize_clearance(assembly, poses.detach().cpu().numpy(), pairs)
+            )
+            context.save_for_backward(slopes)
+            context.rows = [row for pair in pairs for row in pair]
+            context.shape = poses.shape
+            return distances
+
+        @staticmethod
+        def backward(context: Any, change: Any) -> Any:
+            (slopes,) = context.saved_tensors
+            of_rows = (change[..., None, None, None] * slopes).reshape(*context.shape[:-3], len(context.rows), 3, 4)
+            of_poses = torch.zeros(context.shape, dtype=change.dtype, device=change.device)
+            rows = torch.tensor(context.rows, dtype=torch.long, device=change.device)
+            of_poses[..., :3, :].index_add_(-3, rows, of_rows)
+            return None, None, of_poses
+
+    return AssemblyClearance
 
 
 @cache

@@ -78,6 +78,69 @@ def test_jax_takes_one_configuration_and_float32(jax, arm, inputs):
         assembly_poses(arm, np.zeros(2))
 
 
+@pytest.fixture
+def apart(arm):
+    """Two configurations, and three pairs that are apart by one pair of nearest points."""
+    values = np.array([[0.3, -0.4, 0.5, -1.2, 0.3, 0.9, 0.2, 0.03], [-0.5, 0.2, -0.3, -0.7, 0.6, 0.5, -0.4, 0.01]])
+    pairs = [("link0", "hand"), ("link1", "link5"), ("link2", "link7")]
+    assert (arm.clearance(arm.poses(values), pairs=pairs).distances > 0.01).all()
+    return values, pairs
+
+
+def test_jax_has_the_derivatives_of_clearances(jax, arm, apart):
+    from fieldbake.jax import assembly_clearance, assembly_poses
+
+    values, pairs = apart
+    weights = np.linspace(0.5, 1.5, 6).reshape(2, 3)
+
+    def loss(values):
+        return (weights * assembly_clearance(arm, assembly_poses(arm, values), pairs)).sum()
+
+    def plain(values):
+        return float((weights * arm.clearance(arm.poses(values), pairs=pairs).distances).sum())
+
+    # Central differences: step^2 times the third derivative, and the rounding of a sum of 6 over the step.
+    assert np.abs(jax.jit(jax.grad(loss))(values) - differences(plain, values)).max() <= 1e-7
+    one = assembly_clearance(arm, jax.numpy.asarray(arm.poses(values[0]), dtype=np.float32))
+    assert (one.shape, one.dtype) == ((len(arm.pairs),), np.float32)
+    assert np.abs(np.asarray(one) - arm.clearance(arm.poses(values[0])).distances).max() <= 1e-5
+    gradient = jax.grad(lambda poses: assembly_clearance(arm, poses, []).sum())(arm.poses(values))
+    assert (gradient == 0).all()
+    with pytest.raises(fb.ArgumentError, match=r"pairs\[0\]: 'none' is no body"):
+        assembly_clearance(arm, arm.home, [("none", "hand")])
+
+
+def test_the_derivative_of_a_clearance_by_a_pose_is_that_of_a_moved_body():
+    from fieldbake.assemblies.derivatives import linearize_clearance
+
+    robot = fb.Assembly({"box": fb.box((1, 2, 3)), "ball": fb.sphere(0.5), "none": ()})
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[1, :3, 3] = 1.5, 2, 2.5
+    distances, slopes = linearize_clearance(robot, poses, [(0, 1), (1, 2)])
+
+    # The nearest points are the corner and the point of the ball towards its centre.
+    normal = -np.ones(3) / np.sqrt(3)
+    assert distances == pytest.approx([np.sqrt(3) - 0.5, np.inf])
+    assert slopes[0, 0] == pytest.approx(np.outer(normal, (0.5, 1, 1.5, 1)))
+    assert slopes[0, 1] == pytest.approx(-np.outer(normal, (*(0.5 * normal), 1)))
+    assert (slopes[1] == 0).all()
+
+
+def test_torch_has_the_derivatives_of_clearances(arm, apart):
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+    functions = importlib.import_module("fieldbake.torch")
+    values, pairs = apart
+
+    def loss(values):
+        return functions.assembly_clearance(arm, functions.assembly_poses(arm, values), pairs)
+
+    assert torch.autograd.gradcheck(loss, torch.tensor(values, requires_grad=True), eps=1e-6, atol=1e-6)
+    one = functions.assembly_clearance(arm, arm.home.astype(np.float32))
+    assert (one.shape, one.dtype) == ((len(arm.pairs),), torch.float32)
+    none = functions.assembly_clearance(arm, functions.assembly_poses(arm, torch.zeros(2, 8, requires_grad=True)), [])
+    none.sum().backward()
+
+
 def test_the_derivative_by_a_pose_is_that_of_a_moved_body():
     from fieldbake.assemblies.derivatives import linearize_assembly, pose_changes
 

@@ -210,7 +210,7 @@ def test_the_modules_wait_until_they_are_used():
 import sys
 import fieldbake as fb
 assert "torch" not in sys.modules and "jax" not in sys.modules
-names = ["assembly_distance", "assembly_poses", "sample", "signed_distance"]
+names = ["assembly_clearance", "assembly_distance", "assembly_poses", "sample", "signed_distance"]
 assert dir(fb.jax) == fb.jax.__all__ == names == dir(fb.torch)
 assert "torch" not in sys.modules and "jax" not in sys.modules
 assert {"jax", "torch"} <= set(dir(fb))

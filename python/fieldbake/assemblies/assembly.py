@@ -346,11 +346,7 @@ class Assembly(JointedBodies):
         """
         array = self._checked_poses(poses)
         bodies: list[Any] = list(self._bodies.values())
-        if pairs is None:
-            chosen = [(int(i), int(j)) for i, j in self._pairs]
-        else:
-            listed = checks.items("pairs", pairs, "two bodies")
-            chosen = [self._pair(f"pairs[{i}]", pair) for i, pair in enumerate(listed)]
+        chosen = self._chosen_pairs(pairs)
         if environment is not None:
             array = with_environment(bodies, array, chosen, environment, MESH_RESOLUTION)
         found = of_pairs(bodies, array, chosen, cutoff, relative_tolerance, progress)

@@ -1,7 +1,8 @@
-"""First derivatives of the distances to an assembly, for `torch` and `jax`."""
+"""First derivatives of the distances to an assembly and of its clearances, for `torch` and `jax`."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,3 +58,26 @@ def pose_changes(found: LinearDistances, change: NDArray[Any]) -> tuple[NDArray[
         return result, along.sum(axis=0)
     np.add.at(result[..., :3, :], rows, of_rows)
     return result, along
+
+
+def linearize_clearance(
+    assembly: Assembly, poses: NDArray[Any], pairs: Sequence[tuple[int, int]]
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Evaluate the clearances of pairs, and their derivatives by the poses of both bodies.
+
+    The derivatives have shape (..., k, 2, 3, 4): the upper rows of the poses of both bodies. With c = n . (A x - B y),
+    where x and y are the nearest points in the frames of the bodies, they are outer(n, (x, 1)) and -outer(n, (y, 1)).
+    Both arrays have the dtype of the poses.
+    """
+    kind = poses.dtype if poses.dtype.kind == "f" else np.dtype(np.float64)
+    found = assembly.clearance(poses, pairs=pairs)
+    pose = np.asarray(poses, dtype=np.float64)
+    slopes = np.zeros((*found.distances.shape, 2, 3, 4))
+    for side, (points, sign) in enumerate(((found.points_a, 1.0), (found.points_b, -1.0))):
+        own = pose[..., found.pairs[:, side], :, :]
+        local = np.einsum("...ji,...j->...i", own[..., :3, :3], points - own[..., :3, 3])
+        with_one = np.concatenate([local, np.ones((*local.shape[:-1], 1))], axis=-1)
+        slopes[..., side, :, :] = sign * found.normals[..., :, None] * with_one[..., None, :]
+    # A body without geometry is infinitely far in every pose.
+    slopes[np.isinf(found.distances)] = 0.0
+    return found.distances.astype(kind), slopes.astype(kind)

@@ -275,3 +275,10 @@ class JointedBodies:
         if len(both) != 2:
             raise ArgumentError(f"{name}: must be two bodies, got {checks.describe(pair)}")
         return self._row(name, both[0]), self._row(name, both[1])
+
+    def _chosen_pairs(self, pairs: Any) -> list[tuple[int, int]]:
+        """Rows of pairs that are given by names or rows; None means the default pairs."""
+        if pairs is None:
+            return [(int(i), int(j)) for i, j in self._pairs]
+        listed = checks.items("pairs", pairs, "two bodies")
+        return [self._pair(f"pairs[{i}]", pair) for i, pair in enumerate(listed)]
