@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import fieldbake as fb
@@ -39,6 +40,9 @@ def folder(tmp_path):
     for name in ("bunny.obj", "a.glb", "b.glb", "assets/chair.glb", "assets/table.glb", "model.glb", "scene.glb",
                  "scan.ply", "knot.obj", "gear.obj", "part.stl"):  # fmt: skip
         ball.save(tmp_path / name)
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[1, 0, 3] = 1.0
+    np.save(tmp_path / "poses.npy", poses)
     return tmp_path
 
 
