@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import fieldbake as fb
+import robots
 from fences import fences
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -43,6 +44,8 @@ def folder(tmp_path):
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[1, 0, 3] = 1.0
     np.save(tmp_path / "poses.npy", poses)
+    np.save(tmp_path / "values.npy", [[0.0, 0.0], [0.5, -0.5]])
+    (tmp_path / "arm.urdf").write_text(robots.TWO_LINKS, encoding="utf-8")
     return tmp_path
 
 
@@ -83,7 +86,12 @@ def commands():
 
 @pytest.mark.parametrize("command", [*commands()])
 def test_the_commands_of_the_pages_run(command, folder):
-    for pattern, small in ((r"-r \d+", "-r 16"), (r"-n \d+", "-n 500"), (r"--jobs \d+", "--jobs 1")):
+    for pattern, small in (
+        (r"-r \d+", "-r 16"),
+        (r"--resolution \d+", "--resolution 24"),
+        (r"-n \d+", "-n 500"),
+        (r"--jobs \d+", "--jobs 1"),
+    ):
         command = re.sub(pattern, small, command)
     done = subprocess.run(
         ["bash", "-c", f'"$PYTHON" -m fieldbake {command}'], cwd=folder, capture_output=True, text=True, timeout=120,
