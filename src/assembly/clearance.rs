@@ -24,6 +24,9 @@ use rayon::prelude::*;
 
 /// Part of the size of the smaller solid below which a gap is no error of a distance, and the least tolerance.
 const FLOOR: f64 = 1e-9;
+/// Share of the size to which convex solids are compared where the rounding allows it, so that differences of distances
+/// are derivatives.
+const ACCURACY: f64 = 1e-13;
 
 /// The clearance of one pair.
 #[derive(Debug, Clone, Copy, Zeroable)]
@@ -263,7 +266,7 @@ fn of_elements(
     let start = start.or_else(|| Some(middle(boxes[1].or(boxes[0])?))).unwrap_or(DVec3::ZERO);
     let [a, b] = &mut solids;
     let size = first.size().min(second.size()).min(1e30) + start.length();
-    let projected = project(a, b, start, size);
+    let projected = project(a, b, start, size, ACCURACY * size);
     if let Some((p, q, apart, lower)) = projected
         && apart - lower <= floor
     {
@@ -308,7 +311,7 @@ fn of_elements(
     }
     if found.upper > 0.0 {
         // The closest points near the minimum.
-        let (p, q, apart, own) = project(a, b, found.at, size).or(projected).unwrap_or_else(|| {
+        let (p, q, apart, own) = project(a, b, found.at, size, ACCURACY * size).or(projected).unwrap_or_else(|| {
             let (p, q) = (a.gradient_and_point(found.at).1, b.gradient_and_point(found.at).1);
             (p, q, p.distance(q), lower)
         });

@@ -1,8 +1,10 @@
+use super::clearance::{Clearance, Options, clearances};
 use super::nearest::{Request, nearest};
 use super::*;
 use crate::csg::parts::solid::Solid;
 use crate::csg::tree::primitive::Primitive;
 use crate::csg::tree::shape::Shape;
+use crate::geometry::closest_points_of_triangles;
 use crate::progress::Progress;
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -128,4 +130,93 @@ fn bodies_that_are_not_searched_have_no_distance() {
     // An open mesh has no box around its inside.
     assert!(bodies.elements[1].bounds.is_none());
     assert!(bodies.elements[0].bounds.is_some());
+}
+
+/// A closed form of one primitive.
+fn shape(kind: &str, sizes: &[f64]) -> Geometry {
+    let shape = Shape::primitive(Primitive::named(kind, sizes).unwrap());
+    Geometry::Shape(Arc::new(ClosedForm::new(Arc::new(Solid::new(&shape).unwrap()))))
+}
+
+/// The clearance of two geometries, the second one with a pose.
+fn clearance_of(first: Geometry, second: Geometry, pose: [[f64; 4]; 4], cutoff: f64) -> Clearance {
+    let mut bodies = Bodies::new(2);
+    bodies.add(0, first, Similarity::from_rows(&IDENTITY, 1.0));
+    bodies.add(1, second, Similarity::from_rows(&IDENTITY, 1.0));
+    let options = Options { cutoff, relative_tolerance: 1e-3 };
+    clearances(&bodies, &[IDENTITY, pose], &[[0, 1]], &options, &Progress::default()).unwrap()[0]
+}
+
+/// A turn by 0.6 about the z axis and then by 0.9 about the x axis, and a translation.
+fn tilted(by: [f64; 3]) -> [[f64; 4]; 4] {
+    let turn = DMat3::from_rotation_x(0.9) * DMat3::from_rotation_z(0.6);
+    let mut rows = moved(by);
+    (0..3).for_each(|i| (0..3).for_each(|j| rows[i][j] = turn.col(j)[i]));
+    rows
+}
+
+#[test]
+fn separate_meshes_have_the_smallest_distance_of_their_triangles() {
+    let pose = tilted([2.6, 1.9, 1.4]);
+    let place = Similarity::from_rows(&pose, 1.0);
+    let (Geometry::Mesh(a), Geometry::Mesh(b)) = (cube(false), cube(false)) else { unreachable!() };
+    let corners = |mesh: &Mesh, face: &[u32; 3]| face.map(|v| DVec3::from_array(mesh.world_positions()[v as usize]));
+    let mut least = f64::INFINITY;
+    for first in a.faces() {
+        for second in b.faces() {
+            let other = corners(&b, second).map(|p| place.point(p));
+            least = least.min(closest_points_of_triangles(corners(&a, first), other).0);
+        }
+    }
+
+    let found = clearance_of(Geometry::Mesh(a), Geometry::Mesh(b), pose, f64::INFINITY);
+
+    assert!(least > 0.1);
+    assert!((found.distance - least).abs() <= 1e-14, "{} instead of {least}", found.distance);
+    assert!(found.error == 0.0);
+    let [p, q] = found.points.map(DVec3::from_array);
+    assert!((p.distance(q) - least).abs() <= 1e-14);
+    assert!(cube_distance(p).abs() <= 1e-14);
+    assert!(cube_distance(place.inverse_point(q)).abs() <= 1e-14);
+}
+
+#[test]
+fn convex_shapes_that_are_apart_have_a_proven_distance() {
+    let kinds: [(&str, &[f64]); 4] = [
+        ("cylinder", &[0.4, 1.1]),
+        ("cone", &[0.6, 0.0, 1.2]),
+        ("ellipsoid", &[0.9, 0.4, 0.6]),
+        ("box", &[0.7, 0.9, 0.5]),
+    ];
+    for (first, a) in kinds {
+        for (second, b) in kinds {
+            let found = clearance_of(shape(first, a), shape(second, b), tilted([0.9, 1.3, 0.6]), f64::INFINITY);
+            let [p, q] = found.points.map(DVec3::from_array);
+            assert!(found.distance > 0.1, "{first} {second}: {}", found.distance);
+            assert!((p.distance(q) - found.distance).abs() <= 1e-14);
+            assert!(found.error <= 1e-12, "{first} {second}: {}", found.error);
+        }
+    }
+}
+
+#[test]
+fn the_depth_of_an_overlap_is_the_largest_ball() {
+    // The overlap is a slab with the thickness 0.3, and the ball of a ball in a cube touches three sides.
+    let slab = clearance_of(cube(false), cube(false), moved([0.4, 0.2, 1.7]), f64::INFINITY);
+    assert!((slab.distance + 0.3).abs() <= 3e-4, "{}", slab.distance);
+    assert!(slab.error <= 3.1e-4);
+    let nested = clearance_of(cube(false), ball(0.25), moved([0.5, 0.5, 0.5]), f64::INFINITY);
+    assert!((nested.distance + 0.5).abs() <= 5e-4, "{}", nested.distance);
+    // Two balls on one line are exact.
+    let balls = clearance_of(ball(1.0), ball(0.5), moved([0.0, 1.2, 0.0]), f64::INFINITY);
+    assert!((balls.distance + 0.3).abs() <= 1e-15);
+    assert!(balls.error == 0.0);
+}
+
+#[test]
+fn a_pair_beyond_the_cutoff_has_a_bound_and_no_points() {
+    let far = clearance_of(cube(false), shape("cone", &[0.5, 0.0, 1.0]), moved([4.0, 0.0, 0.0]), 0.75);
+    assert!((0.75..=2.5).contains(&far.distance), "{}", far.distance);
+    assert!(far.error == f64::INFINITY);
+    assert!(far.points.iter().flatten().all(|x| x.is_nan()));
 }

@@ -44,11 +44,14 @@ ARM_PARTS = {
     "link4": [("capsule", (0.055, 0.12), (0, 0, 0), (0, 0, 0))],
     "link5": [("box", (0.09, 0.1, 0.24), (0, 0.02, -0.22), (0.1, 0, 0)), ("sphere", (0.05,), (0, 0, 0), (0, 0, 0))],
     "link6": [("capsule", (0.05, 0.08), (0.04, 0, 0), (0, 0, 0.2))],
-    "link7": [("cylinder", (0.045, 0.1), (0, 0, 0.05), (0, 0, 0))],
+    "link7": [("cylinder", (0.035, 0.1), (0, 0, 0.05), (0, 0, 0))],
     "flange": [],
     "hand": [("box", (0.04, 0.2, 0.06), (0, 0, 0.03), (0, 0, 0))],
     "probe": [("capsule", (0.01, 0.12), (0, 0, 0.1), (0, 0, 0))],
 }
+
+#: Joint values of the arm where no default pair of bodies touches.
+REST = (0, -np.pi / 4, 0, -3 * np.pi / 4, 0, np.pi / 2, np.pi / 4, 0.02)
 
 
 def _element(kind, sizes):
