@@ -1,19 +1,17 @@
-"""Clearances of pairs of solids and of robots, beside coal, python-fcl, an optimiser and brute force on grids.
+"""Clearances of pairs of solids beside coal, python-fcl, an optimiser and brute force on grids.
 
-    .venv/bin/python benches/clearances.py pairs | primitives | depth | gradients | folded [--count 500]
+    .venv/bin/python benches/clearances.py pairs | primitives | depth [--count 500]
 
 `pairs`: distances of separate meshes of 2 to 50,000 faces beside coal and python-fcl, the positions of the nearest
-points, and values beyond a cutoff. `primitives`: convex shapes beside coal and the optimiser SLSQP. `depth`: overlaps of
-convex solids beside the penetration depth of coal (EPA), overlaps of others beside grids, and the path of a solid
-through contact. `gradients`: derivatives of distances and clearances by joint values beside central differences.
-`folded`: the pairs of an arm in contact beside coal.
+points, and values beyond a cutoff. `primitives`: convex shapes beside coal and the optimiser SLSQP. `depth`: overlaps
+of convex solids beside the penetration depth of coal (EPA), overlaps of others beside grids, and the path of a solid
+through contact.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -28,7 +26,6 @@ from measuring import timed
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 import meshes
-import robots
 import truth
 
 Array = NDArray[np.float64]
@@ -149,7 +146,9 @@ def pairs(count: int) -> None:
         cutoff = random.uniform(0.2, 1) * value
         bound = fb.clearance(a, b, pose_b=place, cutoff=cutoff)
         beyond += not (cutoff <= bound.distances[0] <= expected * (1 + 1e-9) and np.isnan(bound.points_a).all())
-    print(f"{count} separate pairs of {tried}, {min(faces)} to {max(faces)} faces; {nested} nested pairs; {wrong} wrong")
+    print(
+        f"{count} separate pairs of {tried}, {min(faces)} to {max(faces)} faces; {nested} nested pairs; {wrong} wrong"
+    )
     for name, row in errors.items():
         print(f"  {name:24} largest {max(row):.2e}, above 1e-9: {sum(not error <= 1e-9 for error in row)}")
     print(f"  values beyond a cutoff that are no bound: {beyond}")
@@ -181,9 +180,7 @@ def shape_of(coal: Any, random: Generator, kinds: Sequence[str]) -> tuple[fb.Sha
     }[kind]
 
 
-def by_optimiser(
-    first: Callable[[Array], Array], second: Callable[[Array], Array], place: Array, near: Array
-) -> float:
+def by_optimiser(first: Callable[[Array], Array], second: Callable[[Array], Array], place: Array, near: Array) -> float:
     """The distance of two convex solids by SLSQP, from the centres and from places beside `near`; NaN if all fail."""
     random = np.random.default_rng(0)
     best = np.nan
@@ -225,8 +222,11 @@ def primitives(count: int) -> None:
     print(f"{count} pairs of a cylinder, cone or ellipsoid and any primitive, sizes 0.4 to 2")
     print(f"  coal: largest difference {of_coal.max():.1e}, above 1e-6: {(~(of_coal <= 1e-6)).sum()}")
     known = np.isfinite(of_optimiser)
-    print(f"  SLSQP: converged {known.sum()}; fieldbake is larger by at most {of_optimiser[known].max():.1e}, smaller by at "
-          f"most {-of_optimiser[known].min():.1e}; apart by more than 1e-8: {(np.abs(of_optimiser[known]) > 1e-8).sum()}")  # fmt: skip
+    off = of_optimiser[known]
+    print(
+        f"  SLSQP: converged {known.sum()}; fieldbake is larger by at most {off.max():.1e}, smaller by at most "
+        f"{-off.min():.1e}; apart by more than 1e-8: {(np.abs(off) > 1e-8).sum()}"
+    )
     print(f"  largest stated error {stated.max():.1e}")
 
 
@@ -265,8 +265,10 @@ def depth(count: int) -> None:
         ratios.append(value / expected)
         errors.append(found.errors[0] / value)
         above += not 0 < value <= expected + 1e-6
-    print(f"{count} overlapping convex pairs: {above} outside (0, depth of EPA + 1e-6]; depth / EPA {min(ratios):.3f} to "
-          f"{max(ratios):.6f}; largest stated error {max(errors):.1e} of the depth")  # fmt: skip
+    print(
+        f"{count} overlapping convex pairs: {above} outside (0, depth of EPA + 1e-6]; depth / EPA {min(ratios):.3f} "
+        f"to {max(ratios):.6f}; largest stated error {max(errors):.1e} of the depth"
+    )
     other_overlaps(random, max(10, count // 5))
     through_contact()
 
@@ -302,8 +304,10 @@ def other_overlaps(random: Generator, count: int) -> None:
         outside += not value - error - 1e-9 <= least
         nested += not value <= least + 1e-3 * abs(value) + 1e-9
     inside = fb.clearance(fb.torus(1, 0.4), fb.sphere(0.1), pose_b=pose((1, 0, 0), np.eye(3))).distances[0]
-    print(f"{count} other overlaps: {outside} below the proven bound, {nested} above the grid's value; "
-          f"largest stated error {max(stated):.1e} of the depth; a ball of diameter 0.2 in a tube: {inside:.6f}")
+    print(
+        f"{count} other overlaps: {outside} below the proven bound, {nested} above the grid's value; "
+        f"largest stated error {max(stated):.1e} of the depth; a ball of diameter 0.2 in a tube: {inside:.6f}"
+    )
 
 
 def through_contact() -> None:
@@ -313,126 +317,13 @@ def through_contact() -> None:
     found = [fb.clearance(gear, box, pose_b=pose((x, 0.1, 0.05), meshes.rotation(3))) for x in shifts]
     values, errors = (np.array([getattr(one, name)[0] for one in found]) for name in ("distances", "errors"))
     jumps = np.abs(np.diff(values)) - np.diff(shifts) - errors[1:] - errors[:-1]
-    print(f"a box through a gear in 400 steps: from {values.min():.3f} to {values.max():.3f}, largest change beyond the "
-          f"step and the errors {jumps.max():.1e}")  # fmt: skip
-
-
-def robots_of(folder: Path) -> dict[str, fb.Assembly]:
-    """The arm of primitives, and an arm of three meshes."""
-    place = pose((0.4, 0.1, 0.9), meshes.rotation(2))
-    joints = [fb.Joint(f"j{i}", "revolute", f"link{i}", f"link{i + 1}", origin=place, axis=(1, i, 0.5)) for i in range(4)]
-    parts = [fb.models.gear(teeth=6), fb.Mesh(*meshes.knot(60, 8)), fb.Mesh(*meshes.torus(0.5, 0.15)),
-             fb.Mesh(*meshes.icosphere(3, 0.4)), fb.Mesh(*meshes.box((-0.3, -0.2, 0), (0.3, 0.2, 0.8)))]  # fmt: skip
-    return {
-        "primitives": fb.Assembly.from_urdf(robots.write(folder)["arm"]),
-        "meshes": fb.Assembly({f"link{i}": part for i, part in enumerate(parts)}, joints),
-    }
-
-
-def gradients(count: int) -> None:
-    """Derivatives by joint values beside central differences."""
-    step = 1e-6
-    random = np.random.default_rng(3)
-    with tempfile.TemporaryDirectory() as folder:
-        made = robots_of(Path(folder))
-    for name, robot in made.items():
-        columns = len(robot.joint_names)
-        rows: dict[str, list[Array]] = {"distance": [], "clearance": []}
-        for _ in range(count):
-            values = random.uniform(-1.2, 1.2, columns)
-            ends = values + step * np.concatenate([np.eye(columns), -np.eye(columns)])
-            points = random.uniform(-1.5, 1.5, (20, 3))
-            q, moved = robot.query(points, robot.poses(values)), robot.query(points, robot.poses(ends))
-            slopes = -np.einsum("...i,...im->...m", q.gradients, robot.jacobian(values, q.bodies, q.points))
-            rows["distance"].append(compared(slopes, moved.distances, [(moved.points, q.points)], step, q.distances))
-            c, moved_c = robot.clearance(robot.poses(values)), robot.clearance(robot.poses(ends))
-            first, second = (
-                robot.jacobian(values, c.pairs[:, side], points) for side, points in ((0, c.points_a), (1, c.points_b))
-            )
-            slopes = np.einsum("ki,kim->km", c.normals, first - second)
-            witnesses = [(moved_c.points_a, c.points_a), (moved_c.points_b, c.points_b)]
-            rows["clearance"].append(compared(slopes, moved_c.distances, witnesses, step, c.distances))
-        for kind, errors in rows.items():
-            all_errors = np.concatenate(errors)
-            used = np.isfinite(all_errors)
-            known = all_errors[used]
-            print(f"{name:10} {kind:9}: {count} configurations, {len(all_errors)} values, {used.sum()} apart and smooth; "
-                  f"relative error largest {known.max():.1e}, 99.9th percentile {np.quantile(known, 0.999):.1e}, above "
-                  f"1e-6: {(known > 1e-6).sum()}", flush=True)  # fmt: skip
-
-
-def compared(slopes: Array, values: Array, witnesses: Any, step: float, center: Array) -> Array:
-    """Relative errors of the rows of slopes; NaN where the solids overlap or a nearest point moves by 1e-4.
-
-    The error of a row is relative to the length of its gradient, at least a hundredth of a unit.
-    """
-    half = len(values) // 2
-    expected = (values[:half] - values[half:]).T / (2 * step)
-    moves = np.max([np.linalg.norm(ends - middle, axis=-1).max(axis=0) for ends, middle in witnesses], axis=0)
-    errors = np.linalg.norm(slopes - expected, axis=-1) / np.maximum(np.linalg.norm(expected, axis=-1), 1e-2)
-    return np.where((moves < 1e-4) & (center > 0), errors, np.nan)
-
-
-def folded(count: int) -> None:
-    """The rest pose of the arm beside the optimiser, and its folded poses beside the collisions of coal."""
-    import coal
-
-    random = np.random.default_rng(4)
-    with tempfile.TemporaryDirectory() as folder:
-        arm = robots_of(Path(folder))["primitives"]
-    rest = np.array(robots.REST)
-    found = arm.clearance(arm.poses(rest))
-    models: dict[str, list[tuple[Any, Array]]] = {}
-    for link, parts in arm.bodies.items():
-        kinds = [kind for kind, *_ in robots.ARM_PARTS[link]]
-        models[link] = [
-            (coal_primitive(coal, kind, sizes), place)
-            for (_, place), kind, (_, sizes, *_) in zip(parts, kinds, robots.ARM_PARTS[link], strict=True)
-        ]
-    names = arm.body_names
-    expected = np.array([
-        pair_distance(coal, models[names[i]], models[names[j]], arm.poses(rest)[[i, j]]) for i, j in arm.pairs
-    ])
-    print(f"rest pose: {len(arm.pairs)} default pairs, smallest clearance {found.distances.min():.4f}, largest difference "
-          f"from coal {np.abs(found.distances - expected).max():.1e}")  # fmt: skip
-    wrong, contacts = 0, 0
-    for values in random.uniform(arm.limits[:, 0], arm.limits[:, 1], (count, 8)):
-        poses = arm.poses(values)
-        ours = arm.clearance(poses).distances < 0
-        theirs = np.array([collides(coal, models[names[i]], models[names[j]], poses[[i, j]]) for i, j in arm.pairs])
-        wrong += int((ours != theirs).sum())
-        contacts += int(theirs.sum())
-    print(f"{count} folded poses: {contacts} pairs in contact by coal, {wrong} pairs differ")
-
-
-def coal_primitive(coal: Any, kind: str, sizes: Sequence[float]) -> Any:
-    return {"box": coal.Box, "sphere": coal.Sphere, "capsule": coal.Capsule, "cylinder": coal.Cylinder}[kind](*sizes)
-
-
-def placed(coal: Any, parts: Any, at: Array) -> list[tuple[Any, Any]]:
-    return [(model, coal.Transform3s((at @ own)[:3, :3], (at @ own)[:3, 3])) for model, own in parts]
-
-
-def pair_distance(coal: Any, first: Any, second: Any, poses: Array) -> float:
-    request = coal.DistanceRequest()
-    request.gjk_tolerance, request.gjk_max_iterations = 1e-9, 2000
-    return min(
-        coal.distance(a, at, b, other, request, coal.DistanceResult())
-        for a, at in placed(coal, first, poses[0])
-        for b, other in placed(coal, second, poses[1])
+    print(
+        f"a box through a gear in 400 steps: from {values.min():.3f} to {values.max():.3f}, largest change beyond "
+        f"the step and the errors {jumps.max():.1e}"
     )
 
 
-def collides(coal: Any, first: Any, second: Any, poses: Array) -> bool:
-    return any(
-        coal.collide(a, at, b, other, coal.CollisionRequest(), coal.CollisionResult())
-        for a, at in placed(coal, first, poses[0])
-        for b, other in placed(coal, second, poses[1])
-    )
-
-
-TABLES = {"pairs": (pairs, 500), "primitives": (primitives, 300), "depth": (depth, 200), "gradients": (gradients, 1000),
-          "folded": (folded, 200)}  # fmt: skip
+TABLES = {"pairs": (pairs, 500), "primitives": (primitives, 300), "depth": (depth, 200)}
 
 
 def main() -> None:

@@ -8,6 +8,7 @@ from . import (
     jax as jax,
     models as models,
     mujoco as mujoco,
+    newton as newton,
     torch as torch,
     training as training,
 )

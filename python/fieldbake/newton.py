@@ -16,15 +16,14 @@ from __future__ import annotations
 import importlib.metadata
 import importlib.util
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .base import checks
-from .base.errors import ArgumentError, Error
+from .base.errors import ArgumentError, Error, MeshError
 from .base.progress import Progress, watched
 from .meshes.convert import MeshLike, as_mesh
 from .meshes.mesh import Mesh
@@ -54,7 +53,7 @@ def cook(
     margin: float = 0.05,
     narrow_band_range: tuple[float, float] = (-0.1, 0.1),
     texture_format: TextureFormat = "uint16",
-    scale: Sequence[float] | None = None,
+    scale: ArrayLike | None = None,
     progress: Progress = None,
 ) -> Path:
     """Write the distance field of a mesh where `newton.Mesh.build_sdf` finds it.
@@ -116,7 +115,7 @@ def cook(
     cache = _cache()
     source = as_mesh(mesh)
     if not len(source.faces):
-        raise Error("mesh: has no faces")
+        raise MeshError("mesh: has no faces, so it has no distance field")
     options = _checked(max_resolution, target_voxel_size, margin, narrow_band_range, texture_format)
     factors = None if scale is None else _factors(scale)
     vertices = source.vertices.astype(np.float32)
@@ -132,7 +131,7 @@ def cook(
         **options,
     )
     moved = scaled.astype(np.float64)
-    corners = np.array([moved.min(axis=0) - margin, moved.max(axis=0) + margin])
+    corners = np.array([moved.min(axis=0) - options["margin"], moved.max(axis=0) + options["margin"]])
     voxels = _voxels(float((corners[1] - corners[0]).max()), options)
     is_mirrored = factors is not None and np.prod(factors) < 0
     surface = Mesh(moved, source.faces[:, ::-1] if is_mirrored else source.faces)
@@ -160,23 +159,22 @@ def _checked(
         max_resolution = RESOLUTION
     if target_voxel_size is not None:
         target_voxel_size = checks.number("target_voxel_size", target_voxel_size, above=0)
-    both = checks.real_array("narrow_band_range", narrow_band_range, "(2,)")
-    if both.shape != (2,) or not np.isfinite(both).all() or not (both[0] <= 0 <= both[1]):
-        raise ArgumentError(f"narrow_band_range: must be two numbers with 0 between them, got {narrow_band_range}")
+    lower, upper = checks.vector("narrow_band_range", narrow_band_range, 2).tolist()
+    if not lower <= 0 <= upper:
+        raise ArgumentError(f"narrow_band_range: must have 0 between its numbers, got {lower:g} and {upper:g}")
     return {
         "max_resolution": max_resolution,
         "target_voxel_size": target_voxel_size,
         "margin": checks.number("margin", margin, least=0),
-        "narrow_band_range": (float(both[0]), float(both[1])),
+        "narrow_band_range": (lower, upper),
         "texture_format": checks.choice("texture_format", texture_format, get_args(TextureFormat)),
     }
 
 
-def _factors(scale: Any) -> tuple[float, float, float]:
-    array = checks.real_array("scale", scale, "(3,)")
-    if array.shape != (3,) or not np.isfinite(array).all() or not array.all():
-        raise ArgumentError(f"scale: must be three finite numbers that are not 0, got {scale}")
-    x, y, z = map(float, array)
+def _factors(scale: ArrayLike) -> tuple[float, float, float]:
+    x, y, z = checks.vector("scale", scale, 3).tolist()
+    if not (x and y and z):
+        raise ArgumentError(f"scale: must not have the factor 0, got {(x, y, z)}")
     return x, y, z
 
 

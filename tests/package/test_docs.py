@@ -17,7 +17,7 @@ from browser import missing, visit
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-MODULES = ("arrays", "cache", "csg", "jax", "models", "mujoco", "torch", "training")
+MODULES = ("arrays", "cache", "csg", "jax", "models", "mujoco", "newton", "torch", "training")
 
 
 def public_names() -> set[str]:

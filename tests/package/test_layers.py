@@ -16,7 +16,7 @@ import fieldbake as fb
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "python" / "fieldbake"
 
-PUBLIC_MODULES = ("arrays", "cache", "csg", "jax", "models", "mujoco", "torch", "training")
+PUBLIC_MODULES = ("arrays", "cache", "csg", "jax", "models", "mujoco", "newton", "torch", "training")
 
 #: Most exceptions from the order of the packages.
 MOST_EXCEPTIONS = 11

@@ -19,14 +19,25 @@ from ..files.registry import ENDINGS
 from ..physics.closing import closed_mesh, has_one_side
 from ..physics.models import MAX_DEPTH, mesh_in_file
 from .application import app, show_rows
-from .commands import MESHES, Resolution, parse_bounds, resolution_option
+from .commands import MESHES, parse_bounds, resolution_option
 from .streams import check_clobber, check_output
 
 
 @app.command()
 def cook(
-    robot: Annotated[Path, typer.Argument(help="An MJCF file with geoms of type sdf.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The .mjb file to write; with --solid an .xml file.")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(help="An MJCF file with geoms of type sdf; with --for newton mesh files.", metavar="FILE"),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", help="The .mjb file to write; with --solid an .xml file, with --for newton a folder."
+        ),
+    ],
+    engine: Annotated[
+        Literal["mujoco", "newton"], typer.Option("--for", help="The engine that reads the result.")
+    ] = "mujoco",
     depth: Annotated[
         int | None,
         typer.Option(min=1, max=MAX_DEPTH, help="Largest depth of the octrees; the default is the depth in the file."),
@@ -35,10 +46,22 @@ def cook(
         bool,
         typer.Option("--solid", help="Write closed meshes, and a copy of the MJCF file that names them."),
     ] = False,
-    resolution: Resolution = "128",
+    resolution: Annotated[Any, resolution_option(128)] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per mesh.")] = False,
 ) -> None:
-    """Compile a robot for MuJoCo with exact distances in the octrees of its SDF geoms."""
+    """Write collision fields with exact distances, for MuJoCo from a robot or for Newton from meshes.
+
+    For MuJoCo the file is compiled, and the octrees of its SDF geoms are filled. For Newton each mesh becomes a file of
+    its cache, for the folder that `build_sdf` gets as `cache_dir`; --resolution is its `max_resolution`.
+    """
+    if engine == "newton":
+        if solid or depth is not None:
+            raise typer.BadParameter("--solid and --depth belong to MuJoCo", param_hint="--for")
+        _cook_for_newton(files, output, resolution, as_json)
+        return
+    if len(files) > 1:
+        raise typer.BadParameter(f"MuJoCo compiles one file, got {len(files)}", param_hint="FILE")
+    (robot,) = files
     check_output(output, (".xml",) if solid else (".mjb",))
     mujoco = optional_module("mujoco", "fieldbake cook", extra="mujoco")
     spec = read_spec(robot, "fieldbake cook")
@@ -49,7 +72,7 @@ def cook(
     if not (model.mesh_octadr >= 0).any():
         raise fb.FormatError(f"{robot}: no geom with type='sdf' names a mesh, so there is no octree to fill")
     if solid:
-        written = _write_solid(spec, model, robot, output, resolution)
+        written = _write_solid(spec, model, robot, output, 128 if resolution is None else resolution)
         # The written file leaves its values to MuJoCo; the table compares them with distances.
         fields = fb.mujoco.refine(compiled(spec, output))
     else:
@@ -68,6 +91,18 @@ def cook(
         version = f"{mujoco.__version__}; other versions of MuJoCo refuse the file"
         rows = [("meshes", ", ".join(map(str, written)) or "none needed a change")] if solid else [("MuJoCo", version)]
         show_rows(str(output), rows)
+
+
+def _cook_for_newton(files: list[Path], output: Path, resolution: Any, as_json: bool) -> None:
+    """Write the files of Newton's cache."""
+    if not (resolution is None or isinstance(resolution, int)):
+        raise typer.BadParameter("Newton takes one number of voxels", param_hint="--resolution")
+    for file in files:
+        written = fb.newton.cook(fb.load_mesh(file), output, max_resolution=resolution)
+        if as_json:
+            typer.echo(json.dumps({"mesh": str(file), "file": str(written)}))
+        else:
+            show_rows(str(written), [("mesh", str(file)), ("size", f"{written.stat().st_size:,} bytes")])
 
 
 @app.command()

@@ -1,7 +1,7 @@
 """The sparse grid of Newton's cooked distance fields, layout version 2.
 
-The grid of voxels is divided into cells of 8^3 voxels. The corners of the cells have the coarse samples. A cell near the
-surface has 9^3 fine samples besides, in a cubic array of blocks, unless the coarse samples interpolate to them.
+The grid of voxels is divided into cells of 8^3 voxels. The corners of the cells have the coarse samples. A cell near
+the surface has 9^3 fine samples besides, in a cubic array of blocks, unless the coarse samples interpolate to them.
 
     coarse_sdf[z, y, x]            (d + 1, h + 1, w + 1) float32, at the corners of the w x h x d cells
     subgrid_start_slots[x, y, z]   uint32: x | y << 10 | z << 20 of the block; 0xFFFFFFFF without fine samples,
@@ -9,7 +9,7 @@ surface has 9^3 fine samples besides, in a cubic array of blocks, unless the coa
     subgrid_required[i]            int32, 1 where a cell has a block; i = (z h + y) w + x
     subgrid_data[z, y, x]          blocks of 9^3 samples: float32 distances, or codes of (d - lowest) / range
 
-Source: Newton 1.8, `newton/_src/geometry/sdf_texture.py` and `_sdf_cache.py`.
+Source: Newton 1.8, its modules `sdf_texture` and `_sdf_cache` in `newton._src.geometry`.
 """
 
 from __future__ import annotations
