@@ -122,8 +122,8 @@ def pairs(count: int) -> None:
         if expected <= APART * size:
             wrong += not value <= APART * size * (1 + 1e-9)
             continue
-        if value <= 0:
-            # Surfaces that are apart, and a solid inside the other.
+        if value <= APART * size:
+            # Surfaces that are apart, and a part inside the other solid. A sheet inside has the clearance 0.
             nested += 1
             wrong += not contains_part(a, b, place)
             continue
