@@ -35,6 +35,8 @@ const MAX_CELLS: usize = 200_000;
 const MAX_STEPS: usize = 5000;
 /// Share of the size that covers the rounding of distances and tangents.
 const ROUNDING: f64 = 1e-13;
+/// Share of the size by which the closest points of convex solids may move in the last step.
+const STAYS: f64 = 1e-11;
 
 /// A posed solid.
 pub(super) struct Solid<'a> {
@@ -182,9 +184,10 @@ pub(super) struct Minimum {
 /// a common point. The distance is the third result, and a proven lower bound the last one.
 ///
 /// Alternating projections are the steps of a projected gradient along half the squared distance, so they have
-/// Nesterov's momentum, which ends where the distance grows (B. O'Donoghue and E. Candes, "Adaptive Restart for
-/// Accelerated Gradient Schemes", 2015). Planes of support prove a lower bound between convex solids; the steps end
-/// where it is within `gap`. Between others they end where the distance stays.
+/// Nesterov's momentum, which ends where it points away from the step or the distance grows (B. O'Donoghue and
+/// E. Candes, "Adaptive Restart for Accelerated Gradient Schemes", 2015). Planes of support prove a lower bound between
+/// convex solids. The steps end where it is within `gap` and the closest points stay: their error is the root of an
+/// error of the distance. Between other solids the steps end where the distance stays.
 pub(super) fn project(
     a: &mut Solid<'_>,
     b: &mut Solid<'_>,
@@ -217,19 +220,23 @@ pub(super) fn project(
         };
         let q = onto(b, p)?;
         let nearer = distance - p.distance(q);
-        if has_momentum && nearer <= 0.0 {
+        if has_momentum && nearer < -ROUNDING * size {
             (ahead, weight) = (best.1, 1.0);
             continue;
         }
         let bound = separation(a, b, q - p);
         lower = bound.map_or(lower, |bound| lower.max(bound));
-        let moved = q.distance(best.1);
+        let step = q - best.1;
+        let is_ahead = (ahead - q).dot(step) > 0.0;
         let next = 0.5 * (1.0 + (1.0 + 4.0 * weight * weight).sqrt());
-        ahead = q + (weight - 1.0) / next * (q - best.1);
-        weight = next;
+        (ahead, weight) = if is_ahead { (q, 1.0) } else { (q + (weight - 1.0) / next * step, next) };
         (best, distance) = ((p, q), p.distance(q));
-        let stays = if bound.is_some() { moved <= 1e-2 * ROUNDING * size } else { nearer <= ROUNDING * size };
-        if distance - lower <= gap || (stays && !has_momentum) {
+        let stays = match bound {
+            Some(_) if distance - lower <= gap => step.length() <= STAYS * size,
+            Some(_) => !has_momentum && step.length() <= 1e-2 * ROUNDING * size,
+            None => nearer <= ROUNDING * size,
+        };
+        if stays {
             break;
         }
     }
