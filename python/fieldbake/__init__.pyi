@@ -88,6 +88,7 @@ from .scenes.instance import Instance as Instance
 from .scenes.lights import DirectionalLight as DirectionalLight, PointLight as PointLight, SpotLight as SpotLight
 from .scenes.materials import Material as Material
 from .scenes.scene import Scene as Scene
+from .shapes.lettering import text as text
 from .shapes.primitives import (
     box as box,
     box_frame as box_frame,
@@ -127,7 +128,9 @@ from .shapes.quadric_texels import (
     unpack_quadrics as unpack_quadrics,
     wrap_quadrics as wrap_quadrics,
 )
+from .shapes.screws import thread as thread
 from .shapes.shape import Shape as Shape
+from .shapes.sweeping import helix as helix
 from .slicing.layers import Slices as Slices, slices as slices
 from .surfaces.report import SolidReport as SolidReport
 from .surfaces.solids import boolean as boolean, offset as offset, shell as shell, solid as solid

@@ -308,9 +308,16 @@ class Shape:
     @staticmethod
     def primitive(name: str, numbers: list[float]) -> Shape: ...
     @staticmethod
-    def extrude(kind: str, numbers: list[float], height: float) -> Shape: ...
+    def extrude(
+        kind: str,
+        numbers: list[float],
+        counts: list[int],
+        height: float,
+        taper_deg: float,
+        chamfer: tuple[float, float],
+    ) -> Shape: ...
     @staticmethod
-    def revolve(kind: str, numbers: list[float], offset: float) -> Shape: ...
+    def revolve(kind: str, numbers: list[float], counts: list[int], offset: float) -> Shape: ...
     @staticmethod
     def volume(
         distances: NDArray[np.float32], lower: tuple[float, float, float], upper: tuple[float, float, float]
@@ -834,6 +841,17 @@ def encode(distances: NDArray[np.float32], encoding: str, scale: float) -> NDArr
 
 def decode(texels: NDArray[Any], scale: float) -> NDArray[np.float32]:
     """Decode the result of :func:`encode`."""
+
+def resolved_polygons(polygons: list[NDArray[np.float64]], rule: str) -> list[NDArray[np.float64]]:
+    """The loops of the region that polygons (m, 2) bound under a rule: outer counter-clockwise, holes clockwise."""
+
+def combined_polygons(
+    op: str, first: list[NDArray[np.float64]], second: list[NDArray[np.float64]]
+) -> list[NDArray[np.float64]]:
+    """A Boolean of two regions, each given by its loops."""
+
+def offset_polygons(polygons: list[NDArray[np.float64]], distance: float) -> list[NDArray[np.float64]]:
+    """The points within a distance of a region."""
 
 def raymarch(
     distances: NDArray[Any] | DeviceField | SparseField,

@@ -297,8 +297,10 @@ wgsl_constants! {
         ELLIPSOID_STEPS: usize as u32 = 12;
         /// Smallest divisor. It is small beside all that is divided, and its inverse times a coordinate is finite.
         ELLIPSOID_TINY: f64 as f32 = 1e-20;
-        /// Largest number of corners of a polygon: a device loops over them.
-        MAX_CORNERS: usize as u32 = 1024;
+        /// Radius over the minor radius of a thread below which the field of the thread is a coarser bound.
+        THREAD_CORE: f64 as f32 = 0.5;
+        /// Number of searches for the nearest point of the profile of a thread.
+        THREAD_SEARCHES: usize as u32 = 3;
     }
     csg_chord {
         /// Larger than the coordinate of any point of a ray through a model of size 1.

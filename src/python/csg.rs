@@ -13,6 +13,7 @@ use crate::csg::parts::solid::Solid;
 use crate::csg::text::language;
 use crate::csg::text::shader::shader;
 use crate::csg::tree::profile::Profile;
+use crate::csg::tree::region::Rule;
 use crate::csg::tree::shape::{Blend, Op};
 use crate::csg::tree::volume_leaf::VolumeLeaf;
 use crate::error::{Error, ShapeError};
@@ -53,11 +54,16 @@ impl Shape {
     }
 }
 
-fn profile(kind: &str, numbers: &[f64]) -> Result<Arc<Profile>, ShapeError> {
+/// A profile by its kind and numbers. `counts` has the number of corners of each polygon.
+fn profile(kind: &str, numbers: &[f64], counts: &[usize]) -> Result<Arc<Profile>, ShapeError> {
     let made = match (kind, numbers) {
         ("circle", &[radius]) => Profile::circle(radius),
         ("rectangle", &[width, height]) => Profile::rectangle([width, height]),
-        _ => Profile::polygon(numbers.as_chunks().0),
+        _ => {
+            let mut rest: &[[f64; 2]] = numbers.as_chunks().0;
+            let loops = counts.iter().map(|&count| rest.split_off(..count).unwrap_or_default());
+            Profile::polygon(&loops.collect::<Vec<_>>(), Rule::EvenOdd)
+        }
     };
     Ok(Arc::new(made?))
 }
@@ -70,13 +76,22 @@ impl Shape {
     }
 
     #[staticmethod]
-    fn extrude(kind: &str, numbers: Vec<f64>, height: f64) -> PyResult<Self> {
-        Self::made(profile(kind, &numbers).and_then(|profile| csg::Shape::extrude(profile, height)))
+    fn extrude(
+        py: Python<'_>,
+        kind: &str,
+        numbers: Vec<f64>,
+        counts: Vec<usize>,
+        height: f64,
+        taper_deg: f64,
+        chamfer: [f64; 2],
+    ) -> PyResult<Self> {
+        let made = || csg::Shape::extrude(profile(kind, &numbers, &counts)?, height, taper_deg, chamfer);
+        Self::made(py.detach(made))
     }
 
     #[staticmethod]
-    fn revolve(kind: &str, numbers: Vec<f64>, offset: f64) -> PyResult<Self> {
-        Self::made(profile(kind, &numbers).and_then(|profile| csg::Shape::revolve(profile, offset)))
+    fn revolve(py: Python<'_>, kind: &str, numbers: Vec<f64>, counts: Vec<usize>, offset: f64) -> PyResult<Self> {
+        Self::made(py.detach(|| csg::Shape::revolve(profile(kind, &numbers, &counts)?, offset)))
     }
 
     #[staticmethod]

@@ -19,6 +19,7 @@ mod openexr;
 mod quadric;
 mod query;
 mod rays;
+mod region;
 mod render;
 mod run;
 mod scene;
@@ -64,6 +65,8 @@ mod _core {
     };
     #[pymodule_export]
     use super::rays::{all_intersections, cast_rays, count_intersections, occluded};
+    #[pymodule_export]
+    use super::region::{combined_polygons, offset_polygons, resolved_polygons};
     #[pymodule_export]
     use super::render::{raymarch, raymarch_nested};
     #[pymodule_export]

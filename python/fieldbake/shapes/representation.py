@@ -51,6 +51,18 @@ def _cone(low: float, high: float, height: float) -> str:
     return _call("truncated_cone", low / 2, high / 2, height)
 
 
+def _thread(profile: str) -> Callable[..., str]:
+    def text(diameter: float, pitch: float, offset: float) -> str:
+        options = [] if profile == "iso" else [f'profile="{profile}"']
+        if offset:
+            options.append(f"clearance={_number(abs(offset))}")
+        if offset > 0:
+            options.append("internal=True")
+        return _call("thread", diameter, pitch, "None", *options)
+
+    return text
+
+
 #: Python text of each primitive from the numbers of the language.
 PRIMITIVES: dict[str, Callable[..., str]] = {
     "sphere": lambda d: _call("sphere", d / 2),
@@ -76,6 +88,8 @@ PRIMITIVES: dict[str, Callable[..., str]] = {
     "schwarz-p": lambda cell, t: _call("schwarz_p", cell, t),
     "diamond": lambda cell, t: _call("diamond", cell, t),
     "iwp": lambda cell, t: _call("iwp", cell, t),
+    "iso-thread": _thread("iso"),
+    "trapezoidal-thread": _thread("trapezoidal"),
     "circle": lambda d: _call("circle", d / 2),
     "rectangle": lambda w, h: _call("rectangle", _vector((w, h))),
     "polygon": lambda *xy: _call("polygon", "[" + ", ".join(map(_vector, zip(xy[::2], xy[1::2], strict=True))) + "]"),
@@ -141,6 +155,12 @@ def _form(words: Iterator[str]) -> tuple[str, bool]:
     closed = [f"({text})" if loose else text for text, loose in parts]
     if name in PRIMITIVES:
         return PRIMITIVES[name](*numbers), False
+    if name == "polygons":
+        loops = ", ".join(text.removeprefix("polygon(").removesuffix(")") for text in closed)
+        return _call("polygon", f"[{loops}]"), False
+    if name == "extrude" and len(numbers) > 1:
+        height, taper, low, high = numbers
+        return _call(name, closed[0], height, f"taper_deg={_number(taper)}", f"chamfer={_vector((low, high))}"), False
     if name in ("extrude", "revolve"):
         return _call(name, closed[0], *([numbers[0]] if name == "extrude" or numbers[0] else [])), False
     if name in OPERATORS:

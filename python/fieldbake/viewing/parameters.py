@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from ..base.errors import ArgumentError, ShapeError
-from ..shapes import primitives, profiles
+from ..shapes import primitives, profiles, screws
 from ..shapes.representation import python_text
 from ..shapes.shape import Shape
 
@@ -18,7 +18,7 @@ Change = Callable[[ast.expr], None]
 
 #: Functions in the text of a shape.
 FUNCTIONS: dict[str, Callable[..., Any]] = {
-    name: getattr(module, name) for module in (primitives, profiles) for name in module.__all__
+    name: getattr(module, name) for module in (primitives, profiles, screws) for name in module.__all__
 }
 
 

@@ -181,15 +181,96 @@ fn iwp(at: vec3f, k: array<f32, 6>) -> f32 {
     return abs(2.0 * (dot(c, c.yzx) - dot(c, c) + 1.5)) * k[1] - k[2];
 }
 
-// Squared distance to an edge of a polygon, and 1 if the edge crosses the ray from the point to the right, else 0. The
-// parity of the crossings tells the side.
-fn edge_beside(at: vec2f, before: vec2f, corner: vec2f) -> vec2f {
-    let edge = before - corner;
-    let to = at - corner;
-    let away = to - clamp(dot(to, edge) / dot(edge, edge), 0.0, 1.0) * edge;
-    let spans_height = (corner.y > at.y) != (before.y > at.y);
-    let is_right = (to.x * edge.y < to.y * edge.x) == (edge.y > 0.0);
-    return vec2f(dot(away, away), select(0.0, 1.0, spans_height && is_right));
+// The angle of a vector from the x axis, radians, -pi to pi, to 2e-7: the built-in function may have an error of 5e-4.
+// The polynomial is the one of S. Moshier's Cephes library for float32.
+fn angle_of(v: vec2f) -> f32 {
+    let a = abs(v);
+    let larger = max(max(a.x, a.y), 1e-30);
+    let smaller = min(a.x, a.y);
+    let is_steep = smaller > 0.41421356 * larger;
+    let t = select(smaller / larger, (smaller - larger) / (smaller + larger), is_steep);
+    let q = t * t;
+    let series = (((0.080537444 * q - 0.13877685) * q + 0.19977711) * q - 0.3333295) * q * t + t;
+    var angle = series + select(0.0, 0.78539816, is_steep);
+    if a.y > a.x { angle = 1.57079633 - angle; }
+    if v.x < 0.0 { angle = 3.14159265 - angle; }
+    return select(angle, -angle, v.y < 0.0);
+}
+
+// Signed distance to a screw thread; see src/csg/evaluation/helicoid.rs.
+fn thread(at: vec3f, k: array<f32, 6>) -> f32 {
+    let pitch = k[0];
+    let minor = k[1];
+    let major = k[2];
+    let crest = k[3];
+    let root = k[4];
+    let rise = pitch * 0.15915494;
+    let r = length(at.xy);
+    let core = minor * THREAD_CORE;
+    let outer = max(r, core);
+    let height = at.z - rise * angle_of(at.xy);
+    let flank = vec2f(minor - major, root - crest);
+
+    let from_crest = abs(height - floor(height / pitch + 0.5) * pitch);
+    let limit = major + clamp((from_crest - crest) / flank.y, 0.0, 1.0) * flank.x;
+
+    var turn = 0.0;
+    var nearest = CSG_FAR;
+    for (var i = 0u; i < THREAD_SEARCHES; i++) {
+        let u = height - rise * turn;
+        let place = floor(u / pitch + 0.5) * pitch;
+        let at_profile = vec2f(outer * cos(turn), abs(u - place));
+        let from = at_profile - vec2f(major, crest);
+        var best = vec2f(major, crest) + clamp(dot(from, flank) / dot(flank, flank), 0.0, 1.0) * flank;
+        let on_crest = vec2f(major, min(at_profile.y, crest));
+        if distance(at_profile, on_crest) < distance(at_profile, best) { best = on_crest; }
+        let on_root = vec2f(minor, max(at_profile.y, root));
+        if distance(at_profile, on_root) < distance(at_profile, best) { best = on_root; }
+        nearest = min(nearest, length(vec2f(distance(at_profile, best), outer * sin(turn))));
+        let along = place + select(best.y, -best.y, u < place);
+        turn = rise * (height - along) / (outer * best.x + rise * rise);
+    }
+    let inner = max(minor - r, nearest - (core - r));
+    let size = select(nearest, inner, r < core);
+    return select(size, -size, outer < limit) - k[5];
+}
+
+// An extrusion with taper and chamfers; see extrude in src/csg/evaluation/field.rs.
+fn extruded(flat: f32, z: f32, k: array<f32, 6>) -> f32 {
+    let half_height = k[0];
+    if k[5] == 0.0 { return prism(flat, z, half_height); }
+    let side = flat * k[2] + (z + select(-half_height, half_height, k[1] > 0.0)) * k[1];
+    let solid = max(side, abs(z) - half_height);
+    let chamfers = max(side + k[4] + z - half_height, side + k[3] - z - half_height) * k[5];
+    return select(solid, max(solid, chamfers), k[3] + k[4] > 0.0);
+}
+
+// The list of edges of a cell; list 0 is for points outside the grid.
+fn edge_list(cell: vec2f, counts: vec2f) -> u32 {
+    if all(cell >= vec2f(0.0)) && all(cell < counts) { return 1u + u32(cell.x) + u32(counts.x) * u32(cell.y); }
+    return 0u;
+}
+
+// Squared distance to an edge, the product with the outward normal at the nearest point, and the squared length of the
+// edge; zero if the nearest point is an end.
+fn edge_beside(at: vec2f, ends: vec4f, normals: vec4f) -> vec3f {
+    let along = ends.zw - ends.xy;
+    let to = at - ends.xy;
+    let squared = dot(along, along);
+    let share = dot(to, along) / squared;
+    if share <= 0.0 { return vec3f(dot(to, to), dot(to, normals.xy), 0.0); }
+    if share < 1.0 {
+        let away = to - share * along;
+        return vec3f(dot(away, away), to.x * along.y - to.y * along.x, squared);
+    }
+    let past = at - ends.zw;
+    return vec3f(dot(past, past), dot(past, normals.zw), 0.0);
+}
+
+// The signed distance from the nearest result of edge_beside.
+fn signed_edge_distance(nearest: vec3f) -> f32 {
+    if nearest.z > 0.0 { return nearest.y / sqrt(nearest.z); }
+    return select(sqrt(nearest.x), -sqrt(nearest.x), nearest.y < 0.0);
 }
 
 fn circle(at: vec2f, radius: f32) -> f32 {

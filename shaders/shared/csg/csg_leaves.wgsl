@@ -5,21 +5,31 @@
 #import csg_kinds
 #import csg_tables
 
-// Signed distance to a polygon: the nearest edge, with the sign from the parity of the edges to the right.
-fn polygon(at: vec2f, first: u32, count: u32) -> f32 {
-    var nearest = CSG_FAR;
-    var is_inside = false;
-    let last = first + 2u * (count - 1u);
-    var before = corner_at(last);
-    for (var i = 0u; i < count && has_rounds(); i++) {
+// Signed distance to polygons. Their tables begin at `first`:
+//
+//   0   lower corner of the grid (2), one over the side of a cell, number of cells along x and y, index of the edges
+//   6   start of each list, and the end of the last one
+//       lists of edges
+//       edges: both ends (4) and the outward pseudonormals of both ends (4)
+//
+// Indices count from `first`.
+fn polygon(at: vec2f, first: u32) -> f32 {
+    let cell = (at - corner_at(first)) * numbers[first + 2u];
+    let list = edge_list(cell, corner_at(first + 3u));
+    let edges = first + u32(numbers[first + 5u]);
+    let end = u32(numbers[first + 7u + list]);
+    var nearest = vec3f(CSG_FAR, 0.0, 0.0);
+    for (var c = u32(numbers[first + 6u + list]); c < end && has_rounds(); c++) {
         rounds++;
-        let corner = corner_at(first + 2u * i);
-        let edge = edge_beside(at, before, corner);
-        nearest = min(nearest, edge.x);
-        is_inside = is_inside != (edge.y == 1.0);
-        before = corner;
+        let e = edges + 8u * u32(numbers[first + c]);
+        let found = edge_beside(at, edge_values(e), edge_values(e + 4u));
+        if found.x < nearest.x { nearest = found; }
     }
-    return select(sqrt(nearest), -sqrt(nearest), is_inside);
+    return signed_edge_distance(nearest);
+}
+
+fn edge_values(first: u32) -> vec4f {
+    return vec4f(corner_at(first), corner_at(first + 2u));
 }
 
 // A baked field, closed by the faces of its box; see src/csg/tree/volume_leaf.rs.

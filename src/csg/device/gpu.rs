@@ -162,10 +162,7 @@ fn encoded(leaf: &PlacedLeaf<f32>, numbers: &mut Vec<f32>) -> CsgLeaf {
         LeafField::Extrude(flat) | LeafField::Revolve(flat) => match flat {
             Flat::Circle(radius) => numbers.push(*radius),
             Flat::Rectangle(half) => numbers.extend(half),
-            Flat::Polygon(corners) => {
-                numbers.push(corners.len() as f32);
-                numbers.extend(corners.iter().flatten());
-            }
+            Flat::Polygon(polygon) => numbers.extend(polygon.numbers()),
         },
         LeafField::Volume(volume, placed) => {
             numbers.extend(placed.lower.iter().chain(&placed.upper).chain(&placed.inverse_spacing));

@@ -162,6 +162,14 @@ impl Scalar for Dual {
         Self::of(self.value.floor())
     }
 
+    /// The derivative on the axis counts as zero.
+    #[inline(always)]
+    fn atan2(self, x: Self) -> Self {
+        let squared = x.value * x.value + self.value * self.value;
+        let inverse = if squared > 0.0 { 1.0 / squared } else { 0.0 };
+        self.zip(x, self.value.atan2(x.value), |dy, dx| (x.value * dy - self.value * dx) * inverse)
+    }
+
     /// The smaller value. The steeper one of two equal values, so that a coordinate at its limit still changes.
     #[inline(always)]
     fn least(self, other: Self) -> Self {

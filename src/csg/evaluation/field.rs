@@ -13,6 +13,8 @@
 //! method on it converges from below (J. More, D. Sorensen, "Computing a Trust Region Step", 1983). Counting `t` from
 //! `-min(r)^2` avoids cancellation.
 
+pub(crate) use super::helicoid::thread;
+use super::leaf::FlatPolygon;
 use super::scalar::{Scalar, length2, length3};
 use crate::csg::tree::primitive::PARAMETERS;
 use crate::gpu::constants::csg_field::{ELLIPSOID_STEPS, ELLIPSOID_TINY};
@@ -267,33 +269,56 @@ pub(crate) fn rectangle<F: Scalar>(x: F, y: F, half: [F; 2]) -> F {
     length2(q[0].most(zero), q[1].most(zero)) + q[0].most(q[1]).least(zero)
 }
 
-/// Distance to the nearest edge, with the sign from the parity of the edges to the right.
-pub(crate) fn polygon<F: Scalar>(x: F, y: F, corners: &[[F; 2]]) -> F {
+/// Distance to the nearest of the edges that are nearest to a point of the cell of the grid; see
+/// [`crate::csg::tree::edge_grid`].
+pub(crate) fn polygon<F: Scalar>(x: F, y: F, flat: &FlatPolygon<F>) -> F {
     let zero = F::default();
     let mut nearest = F::of(f64::from(f32::MAX));
-    let mut is_inside = false;
-    let mut previous = corners[corners.len() - 1];
-    for &corner in corners {
-        let edge = [previous[0] - corner[0], previous[1] - corner[1]];
-        let to = [x - corner[0], y - corner[1]];
-        let share = (to[0] * edge[0] + to[1] * edge[1]) / (edge[0] * edge[0] + edge[1] * edge[1]);
-        let share = share.between(zero, F::of(1.0));
-        let away = [to[0] - share * edge[0], to[1] - share * edge[1]];
-        nearest = nearest.least(away[0] * away[0] + away[1] * away[1]);
-        // The edge spans the height of the point, and crosses the ray to the right.
-        if (corner[1] > y) != (previous[1] > y) {
-            let is_left_of_it = to[0] * edge[1] < to[1] * edge[0];
-            if is_left_of_it == (edge[1] > zero) {
-                is_inside = !is_inside;
-            }
+    // The product with the outward normal of the nearest point, and the squared length of an edge; zero for a corner.
+    let (mut side, mut length_squared) = (zero, zero);
+    for &edge in flat.near(x, y) {
+        let [ax, ay, bx, by, px, py, qx, qy] = flat.edges[edge as usize];
+        let along = [bx - ax, by - ay];
+        let to = [x - ax, y - ay];
+        let squared = along[0] * along[0] + along[1] * along[1];
+        let share = (to[0] * along[0] + to[1] * along[1]) / squared;
+        let (away, normal, length) = if !(share > zero) {
+            (to, [px, py], zero)
+        } else if share < F::of(1.0) {
+            ([to[0] - share * along[0], to[1] - share * along[1]], [along[1], -along[0]], squared)
+        } else {
+            ([x - bx, y - by], [qx, qy], zero)
+        };
+        let distance = away[0] * away[0] + away[1] * away[1];
+        if distance < nearest {
+            nearest = distance;
+            let from = if length > zero { to } else { away };
+            side = from[0] * normal[0] + from[1] * normal[1];
+            length_squared = length;
         }
-        previous = corner;
     }
-    let distance = nearest.sqrt();
-    if is_inside { -distance } else { distance }
+    if length_squared > zero {
+        side / length_squared.sqrt()
+    } else if side < zero {
+        -nearest.sqrt()
+    } else {
+        nearest.sqrt()
+    }
 }
 
+/// An extrusion. With taper or chamfers it is the intersection of its bounded sides, a lower bound outside.
 #[inline(always)]
-pub(crate) fn extrude<F: Scalar>(flat: F, z: F, half_height: F) -> F {
-    prism(flat, z, half_height)
+pub(crate) fn extrude<F: Scalar>(flat: F, z: F, p: &Parameters<F>) -> F {
+    let zero = F::default();
+    let [half_height, sin, cos, low, high, inverse] = *p;
+    if !(inverse > zero) {
+        return prism(flat, z, half_height);
+    }
+    let from_wide = if sin > zero { z + half_height } else { z - half_height };
+    let side = flat * cos + from_wide * sin;
+    let above = z.abs() - half_height;
+    let chamfers = (side + high + z - half_height).most(side + low - z - half_height) * inverse;
+    let is_chamfered = low + high > zero;
+    let solid = side.most(above);
+    if is_chamfered { solid.most(chamfers) } else { solid }
 }

@@ -10,8 +10,10 @@
 use super::field;
 use super::placed_volume::PlacedVolume;
 use super::scalar::{Scalar, length2};
+use crate::csg::tree::edge_grid::EDGE_VALUES;
 use crate::csg::tree::primitive::{PARAMETERS, Primitive, primitives};
 use crate::csg::tree::profile::Profile;
+use crate::csg::tree::region::Region;
 use crate::csg::tree::volume_leaf::VolumeLeaf;
 use crate::gpu::shader::Instead;
 use std::fmt::Write;
@@ -76,15 +78,12 @@ macro_rules! declare {
                 call: concat!(stringify!($function), "(at, k)"),
                 loops: &[$(stringify!($loops))?],
             },)*
-            LeafKind::new("extruded_circle", "prism(circle(at.xy, numbers[first]), at.z, k[0])"),
-            LeafKind::new("extruded_rectangle", "prism(rectangle(at.xy, corner_at(first)), at.z, k[0])"),
-            LeafKind::new(
-                "extruded_polygon",
-                "prism(polygon(at.xy, first + 1u, u32(numbers[first])), at.z, k[0])",
-            ),
+            LeafKind::new("extruded_circle", "extruded(circle(at.xy, numbers[first]), at.z, k)"),
+            LeafKind::new("extruded_rectangle", "extruded(rectangle(at.xy, corner_at(first)), at.z, k)"),
+            LeafKind::new("extruded_polygon", "extruded(polygon(at.xy, first), at.z, k)"),
             LeafKind::new("revolved_circle", "circle(revolved(at, k[0]), numbers[first])"),
             LeafKind::new("revolved_rectangle", "rectangle(revolved(at, k[0]), corner_at(first))"),
-            LeafKind::new("revolved_polygon", "polygon(revolved(at, k[0]), first + 1u, u32(numbers[first]))"),
+            LeafKind::new("revolved_polygon", "polygon(revolved(at, k[0]), first)"),
             LeafKind::new("volume", "volume(at, first)"),
         ];
 
@@ -125,7 +124,7 @@ macro_rules! declare {
                 match &self.field {
                     $(LeafField::$variant => each!(leaf, at, |q| field::$function(q, p)),)*
                     LeafField::Extrude(flat) => {
-                        each!(leaf, at, |[x, y, z]| field::extrude(flat.distance(x, y), z, p[0]))
+                        each!(leaf, at, |[x, y, z]| field::extrude(flat.distance(x, y), z, p))
                     }
                     LeafField::Revolve(flat) => each!(leaf, at, |[x, y, z]| flat.distance(length2(x, y) - p[0], z)),
                     LeafField::Volume(volume, placed) => each!(leaf, at, |q| placed.distance(volume.distances(), q)),
@@ -236,7 +235,7 @@ fn own_distance(leaf: u32, at: vec3f) -> f32 {
 pub enum Flat<F> {
     Circle(F),
     Rectangle([F; 2]),
-    Polygon(Vec<[F; 2]>),
+    Polygon(FlatPolygon<F>),
 }
 
 impl<F: Scalar> Flat<F> {
@@ -244,9 +243,7 @@ impl<F: Scalar> Flat<F> {
         match profile {
             Profile::Circle { radius } => Self::Circle(F::of(scale * radius)),
             Profile::Rectangle { half } => Self::Rectangle((scale * *half).to_array().map(F::of)),
-            Profile::Polygon { corners, .. } => {
-                Self::Polygon(corners.iter().map(|corner| (scale * *corner).to_array().map(F::of)).collect())
-            }
+            Profile::Polygon(region) => Self::Polygon(FlatPolygon::new(region, scale)),
         }
     }
 
@@ -269,6 +266,61 @@ impl<F: Scalar> Flat<F> {
     }
 }
 
+/// A polygon in local units, with the lists of its grid.
+#[derive(Debug, Clone)]
+pub struct FlatPolygon<F> {
+    region: Arc<Region>,
+    lower: [F; 2],
+    inverse: F,
+    pub edges: Vec<[F; EDGE_VALUES]>,
+}
+
+impl<F: Scalar> FlatPolygon<F> {
+    fn new(region: &Arc<Region>, scale: f64) -> Self {
+        let grid = &region.grid;
+        let placed = |edge: &[f64; EDGE_VALUES]| -> [F; EDGE_VALUES] {
+            // The ends are lengths, the pseudonormals are directions.
+            std::array::from_fn(|i| F::of(if i < 4 { scale * edge[i] } else { edge[i] }))
+        };
+        Self {
+            region: region.clone(),
+            lower: (scale * grid.lower).to_array().map(F::of),
+            inverse: F::of(grid.inverse / scale),
+            edges: grid.edges.iter().map(placed).collect(),
+        }
+    }
+
+    /// The edges among which the nearest to a point is.
+    #[inline(always)]
+    pub fn near(&self, x: F, y: F) -> &[u32] {
+        let grid = &self.region.grid;
+        let cell = [(x - self.lower[0]) * self.inverse, (y - self.lower[1]) * self.inverse].map(Scalar::widen);
+        let is_within = (0..2).all(|axis| cell[axis] >= 0.0 && cell[axis] < f64::from(grid.counts[axis]));
+        let list = if is_within { 1 + cell[0] as usize + grid.counts[0] as usize * cell[1] as usize } else { 0 };
+        &grid.listed[grid.starts[list] as usize..grid.starts[list + 1] as usize]
+    }
+
+    /// The tables in the order of `shaders/shared/csg/csg_leaves.wgsl`.
+    pub fn numbers(&self) -> Vec<f32> {
+        let grid = &self.region.grid;
+        let narrow = |x: F| x.widen() as f32;
+        let starts = 6;
+        let lists = starts + grid.starts.len();
+        let edges = lists + grid.listed.len();
+        let mut out = vec![narrow(self.lower[0]), narrow(self.lower[1]), narrow(self.inverse)];
+        out.extend([grid.counts[0] as f32, grid.counts[1] as f32, edges as f32]);
+        out.extend(grid.starts.iter().map(|&start| (lists + start as usize) as f32));
+        out.extend(grid.listed.iter().map(|&edge| edge as f32));
+        out.extend(self.edges.iter().flatten().map(|&x| narrow(x)));
+        out
+    }
+
+    /// Number of edges in the longest list.
+    pub fn longest_list(&self) -> usize {
+        self.region.grid.starts.windows(2).map(|ends| (ends[1] - ends[0]) as usize).max().unwrap_or(0)
+    }
+}
+
 /// A leaf in local units.
 #[derive(Debug, Clone)]
 pub struct PlacedLeaf<F> {
@@ -284,6 +336,7 @@ pub struct PlacedLeaf<F> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::csg::tree::region::Rule;
     use crate::gpu::shader::shared;
 
     /// The bit of a kind.
@@ -296,7 +349,9 @@ mod tests {
         assert_eq!(KINDS[LeafField::<f32>::Gyroid.kind() as usize].function, "gyroid");
         let circle = LeafField::Extrude(Flat::Circle(1.0f32));
         assert_eq!(KINDS[circle.kind() as usize].function, "extruded_circle");
-        let polygon = LeafField::Revolve(Flat::Polygon(vec![[0.0f32; 2]]));
+        let corners = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]];
+        let profile = Profile::polygon(&[&corners], Rule::EvenOdd).unwrap();
+        let polygon = LeafField::<f32>::Revolve(Flat::new(&profile, 1.0));
         assert_eq!(KINDS[polygon.kind() as usize].function, "revolved_polygon");
         assert_eq!(First::Volume as usize + 1, KINDS.len());
     }

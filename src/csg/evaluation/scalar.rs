@@ -26,6 +26,8 @@ pub trait Scalar:
     fn sin(self) -> Self;
     fn cos(self) -> Self;
     fn floor(self) -> Self;
+    /// The angle of the vector `(x, self)` from the x axis, radians, -pi to pi.
+    fn atan2(self, x: Self) -> Self;
 
     /// Plain comparisons. The standard `min` and `max` handle NaN, which cannot occur here.
     #[inline(always)]
@@ -60,6 +62,10 @@ macro_rules! real {
             #[inline(always)]
             fn floor(self) -> Self {
                 self.floor()
+            }
+            #[inline(always)]
+            fn atan2(self, x: Self) -> Self {
+                self.atan2(x)
             }
             #[inline(always)]
             fn abs(self) -> Self {

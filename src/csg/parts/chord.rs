@@ -125,8 +125,9 @@ fn has_chord(leaf: &PlacedLeaf<f32>) -> bool {
         | LeafField::Plane
         | LeafField::Pyramid
         | LeafField::Octahedron
-        | LeafField::HexPrism
-        | LeafField::Extrude(Flat::Circle(_) | Flat::Rectangle(_)) => true,
+        | LeafField::HexPrism => true,
+        // Neither taper nor chamfers.
+        LeafField::Extrude(Flat::Circle(_) | Flat::Rectangle(_)) => leaf.parameters[5] == 0.0,
         LeafField::Box => leaf.parameters[3] == 0.0,
         _ => false,
     }

@@ -4,7 +4,8 @@
 //! ```text
 //! shape     = ( word number... shape... )          ; a comment runs to the end of its line
 //! shapes      the rows of the table of primitives (primitive.rs), and extrude h PROFILE | revolve offset PROFILE
-//!             ; PROFILE = (circle d) | (rectangle w h) | (polygon x y x y ...)
+//!             | extrude h taper chamfer chamfer PROFILE          ; chamfers of the lower and of the upper end
+//!             ; PROFILE = (circle d) | (rectangle w h) | (polygon x y x y ...) | (polygons (polygon ...) ...)
 //! operators   union | inter | diff | xor, and (blend union k a b ...), (chamfer union k a b ...);
 //!             blend-union k a b ...
 //! modifiers   the rows of MODIFIERS, and rotate qx qy qz qw | align x y z | stencil COLOR subject mask
@@ -18,6 +19,7 @@ use crate::csg::model::align::aligned;
 use crate::csg::tree::language_table::{NumberSource, Word};
 use crate::csg::tree::primitive::{Primitive, WORDS};
 use crate::csg::tree::profile::Profile;
+use crate::csg::tree::region::{Region, Rule};
 use crate::csg::tree::shape::{Blend, Kind, Op, Shape};
 use crate::error::ShapeError;
 use glam::{DQuat, DVec3};
@@ -66,8 +68,9 @@ const MODIFIERS: &[Word] = {
 };
 
 /// Usage of the forms that no table lists, for messages.
-const OTHER_USAGES: [(&str, &str); 6] = [
+const OTHER_USAGES: [(&str, &str); 7] = [
     ("extrude", "(extrude h PROFILE)"),
+    ("extrude", "(extrude h taper chamfer chamfer PROFILE)"),
     ("revolve", "(revolve offset PROFILE)"),
     ("rotate", "(rotate qx qy qz qw)"),
     ("align", "(align x y z)"),
@@ -247,16 +250,33 @@ impl<'a> ReadForm<'a> {
         let profile = match (name, self.numbers.as_slice()) {
             ("circle", &[diameter]) => Profile::circle(0.5 * diameter),
             ("rectangle", &[w, h]) => Profile::rectangle([w, h]),
-            ("polygon", numbers) if numbers.len() % 2 == 0 => Profile::polygon(numbers.as_chunks().0),
+            ("polygon", numbers) if numbers.len() % 2 == 0 => Profile::polygon(&[numbers.as_chunks().0], Rule::EvenOdd),
+            ("polygons", &[]) => return self.polygons().map(Some),
             ("circle", _) => return Err(self.start.error("circle takes a diameter")),
             ("rectangle", _) => return Err(self.start.error("rectangle takes a width and a height")),
             ("polygon", _) => return Err(self.start.error("polygon takes pairs of numbers")),
+            ("polygons", _) => return Err(self.start.error("polygons takes polygons, not numbers")),
             _ => return Ok(None),
         };
         if !self.shapes.is_empty() || !self.profiles.is_empty() {
             return Err(self.start.error(format!("{name} takes numbers only")));
         }
         Ok(Some(profile))
+    }
+
+    /// Several polygons as one profile, by the even-odd rule.
+    fn polygons(&self) -> Result<Result<Profile, ShapeError>, ShapeError> {
+        let mut loops = Vec::new();
+        for profile in &self.profiles {
+            let Profile::Polygon(region) = &**profile else {
+                return Err(self.start.error("polygons takes polygons only"));
+            };
+            loops.extend(region.loops.iter().cloned());
+        }
+        if !self.shapes.is_empty() {
+            return Err(self.start.error("polygons takes polygons only"));
+        }
+        Ok(Region::new(loops, Rule::EvenOdd).map(|region| Profile::Polygon(Arc::new(region))))
     }
 
     fn shape(&self, written: &str) -> Result<Shape, ShapeError> {
@@ -291,17 +311,17 @@ impl<'a> ReadForm<'a> {
             return Err(self.start.error(format!("{written} takes union, inter, diff or xor, a width, and shapes")));
         }
 
-        if let ("extrude" | "revolve", &[number]) = (name.as_str(), n) {
+        if let ("extrude", &[_] | &[_, _, _, _]) | ("revolve", &[_]) = (name.as_str(), n) {
             let [profile] = self.profiles.as_slice() else {
                 return Err(self
                     .start
                     .error(format!("{written} takes a number and one of circle, rectangle, polygon")));
             };
             self.expect_shapes_alone(written, 0, 0)?;
-            return if name == "extrude" {
-                Shape::extrude(profile.clone(), number)
-            } else {
-                Shape::revolve(profile.clone(), number)
+            return match (name.as_str(), n) {
+                ("extrude", &[height, taper, low, high]) => Shape::extrude(profile.clone(), height, taper, [low, high]),
+                ("extrude", _) => Shape::extrude(profile.clone(), n[0], 0.0, [0.0; 2]),
+                _ => Shape::revolve(profile.clone(), n[0]),
             };
         }
         if let Some((operation, arguments)) = arguments_of(WORDS, &name, n) {
@@ -430,8 +450,10 @@ fn head(kind: &Kind, out: &mut String) -> Result<(), ShapeError> {
         }
     };
     match kind {
-        Kind::Primitive(Primitive::Extrude { profile, half_height }) => {
-            put(&["extrude"], &[2.0 * half_height]);
+        Kind::Primitive(Primitive::Extrude { profile, half_height, ends }) => {
+            let [low, high] = ends.chamfer;
+            let numbers = [2.0 * half_height, ends.taper.to_degrees(), low, high];
+            put(&["extrude"], if ends.is_plain() { &numbers[..1] } else { &numbers });
             profile_text(profile, out);
         }
         Kind::Primitive(Primitive::Revolve { profile, offset }) => {
@@ -488,12 +510,17 @@ fn profile_text(profile: &Profile, out: &mut String) {
     let _ = match profile {
         Profile::Circle { radius } => write!(out, " (circle {})", 2.0 * radius),
         Profile::Rectangle { half } => write!(out, " (rectangle {} {})", 2.0 * half.x, 2.0 * half.y),
-        Profile::Polygon { corners, .. } => {
-            out.push_str(" (polygon");
-            for corner in corners {
-                let _ = write!(out, " {} {}", corner.x + 0.0, corner.y + 0.0);
+        Profile::Polygon(region) => {
+            let is_one = region.loops.len() == 1;
+            out.push_str(if is_one { "" } else { " (polygons" });
+            for corners in &region.loops {
+                out.push_str(" (polygon");
+                for corner in corners {
+                    let _ = write!(out, " {} {}", corner.x + 0.0, corner.y + 0.0);
+                }
+                out.push(')');
             }
-            out.write_str(")")
+            out.write_str(if is_one { "" } else { ")" })
         }
     };
 }

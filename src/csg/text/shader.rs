@@ -89,20 +89,20 @@ fn six(i: u32) -> array<f32, 6> {
     );
 }
 
-// The nearest edge, and the parity of the edges to the right; corners follow their count.
+// The nearest of the edges that are nearest to a point of the cell of the grid, whose tables begin at `i`.
 fn polygon_at(at: vec2f, i: u32) -> f32 {
-    let count = u32(numbers[i]);
-    var nearest = CSG_FAR;
-    var is_inside = false;
-    var before = vec2f(numbers[i + 2u * count - 1u], numbers[i + 2u * count]);
-    for (var c = 0u; c < min(count, MAX_CORNERS); c++) {
-        let corner = vec2f(numbers[i + 2u * c + 1u], numbers[i + 2u * c + 2u]);
-        let edge = edge_beside(at, before, corner);
-        nearest = min(nearest, edge.x);
-        is_inside = is_inside != (edge.y == 1.0);
-        before = corner;
+    let cell = (at - vec2f(numbers[i], numbers[i + 1u])) * numbers[i + 2u];
+    let list = edge_list(cell, vec2f(numbers[i + 3u], numbers[i + 4u]));
+    let end = u32(numbers[i + 7u + list]);
+    var nearest = vec3f(CSG_FAR, 0.0, 0.0);
+    for (var c = u32(numbers[i + 6u + list]); c < end; c++) {
+        let e = i + u32(numbers[i + 5u]) + 8u * u32(numbers[i + c]);
+        let ends = vec4f(numbers[e], numbers[e + 1u], numbers[e + 2u], numbers[e + 3u]);
+        let normals = vec4f(numbers[e + 4u], numbers[e + 5u], numbers[e + 6u], numbers[e + 7u]);
+        let found = edge_beside(at, ends, normals);
+        if found.x < nearest.x { nearest = found; }
     }
-    return select(sqrt(nearest), -sqrt(nearest), is_inside);
+    return signed_edge_distance(nearest);
 }
 ";
 
@@ -316,10 +316,11 @@ impl<'a> Writer<'a> {
         let place = format!("place_at({p}, {at})");
         match &placed.field {
             LeafField::Extrude(flat) => {
-                let half_height = self.number(placed.parameters[0]);
+                let first = self.next();
+                self.numbers.extend(&placed.parameters[..PARAMETERS]);
                 let place = self.statement("q", &place, "extrude");
                 let flat = self.profile(flat, &format!("{place}.xy"));
-                format!("prism({flat}, {place}.z, {half_height})")
+                format!("extruded({flat}, {place}.z, six({first}))")
             }
             LeafField::Revolve(flat) => {
                 let offset = self.number(placed.parameters[0]);
@@ -342,11 +343,10 @@ impl<'a> Writer<'a> {
                 let (x, y) = (self.number(*x), self.number(*y));
                 format!("rectangle({at}, vec2f({x}, {y}))")
             }
-            Flat::Polygon(corners) => {
+            Flat::Polygon(polygon) => {
                 let first = self.next();
-                self.loops.push(format!("u32(numbers[{first}])"));
-                self.numbers.push(corners.len() as f32);
-                self.numbers.extend(corners.iter().flatten());
+                self.loops.push(format!("{}u", polygon.longest_list()));
+                self.numbers.extend(polygon.numbers());
                 format!("polygon_at({at}, {first})")
             }
         }

@@ -1,9 +1,11 @@
 //! Shapes as users write them: trees of operators over primitives.
 
 pub(crate) mod checks;
+pub(crate) mod edge_grid;
 pub(crate) mod language_table;
 pub(crate) mod placement;
 pub(crate) mod primitive;
 pub(crate) mod profile;
+pub(crate) mod region;
 pub(crate) mod shape;
 pub(crate) mod volume_leaf;

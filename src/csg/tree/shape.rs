@@ -5,7 +5,7 @@
 //! traversed and dropped.
 
 use super::checks::{finite, not_negative, positive};
-use super::primitive::Primitive;
+use super::primitive::{Ends, Primitive};
 use super::profile::Profile;
 use super::volume_leaf::VolumeLeaf;
 use crate::error::ShapeError;
@@ -194,10 +194,11 @@ impl Shape {
         Self::primitive(Primitive::Volume(Arc::new(volume)))
     }
 
-    /// A profile extruded along z, with `height` in total.
-    pub fn extrude(profile: Arc<Profile>, height: f64) -> Result<Self, ShapeError> {
+    /// A profile extruded along z, with `height` in total, `taper_deg` degrees and two chamfers.
+    pub fn extrude(profile: Arc<Profile>, height: f64, taper_deg: f64, chamfer: [f64; 2]) -> Result<Self, ShapeError> {
         let half_height = 0.5 * positive("height", height)?;
-        Ok(Self::primitive(Primitive::Extrude { profile, half_height }))
+        let ends = Ends::new(taper_deg, chamfer, height)?;
+        Ok(Self::primitive(Primitive::Extrude { profile, half_height, ends }))
     }
 
     /// A profile revolved about z.
