@@ -1176,12 +1176,18 @@ def atlas_shader(language: str, layout: str, page_size: int, gutter: int, encodi
     """
 
 def viewer_shader(
-    language: str, kinds: tuple[bool, bool, bool, bool], encoding: str | None, shapes: list[Shape]
+    language: str,
+    kinds: tuple[bool, bool, bool, bool],
+    encoding: str | None,
+    shapes: list[Shape],
+    frame: tuple[tuple[float, float, float], float] | None = None,
 ) -> tuple[list[str], list[tuple[int, NDArray[np.float32], list[float], float, float] | None]]:
     """The shaders of a view; ``kinds`` states whether it has dense fields, sparse fields, quadrics and meshes.
 
     The first text is the fragment shader of rays. With meshes, their vertex and their fragment shader follow; in "wgsl"
     each text has all entry points of its kernel.
+
+    ``frame`` is the centre and the scale of the local frame of all shapes; by default each has its own.
 
     ``encoding`` is the encoding of all sampled fields, or None if they differ. For each shape the result has the index
     of its function, the parameters that it reads, the centre and the scale of its local frame, and the inverse of its

@@ -7,6 +7,7 @@ use super::render::{PictureArguments, images_of};
 use super::run::{run, run_owned};
 use crate::csg;
 use crate::csg::device::draw::{DrawMethod, draw, tracer};
+use crate::csg::evaluation::program::LocalFrame;
 use crate::csg::parts::decompose::shape_of;
 use crate::csg::parts::part::{Method, structure};
 use crate::csg::parts::solid::Solid;
@@ -43,6 +44,12 @@ impl Shape {
 
     fn made(shape: Result<csg::Shape, ShapeError>) -> PyResult<Self> {
         Ok(Self::of(shape.map_err(Failure::from)?))
+    }
+
+    /// The shape, compiled in given local units.
+    pub(super) fn placed(&self, py: Python<'_>, center: [f64; 3], scale: f64) -> PyResult<Arc<Solid>> {
+        let frame = LocalFrame { center: DVec3::from_array(center), scale };
+        Ok(Arc::new(py.detach(|| Solid::placed(&self.shape, frame)).map_err(Failure::from)?))
     }
 
     pub(super) fn solid(&self, py: Python<'_>) -> PyResult<Arc<Solid>> {

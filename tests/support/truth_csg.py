@@ -284,6 +284,79 @@ def _solids():
         _box_sides((0.6, 0.4, 0.3)),
     )
 
+    outer, hole = np.array([(-1, -0.8), (0.9, -0.8), (0.9, 0.7), (-1, 0.7)]), np.array([(-0.5, -0.4), (0.5, -0.4), (0, 0.3)])
+    walls = [_side((*a, -0.3), (*(b - a), 0), (0, 0, 0.6)) for loop in (outer, hole) for a, b in _edges(loop)]
+    # The triangle between the hole and the outer corners, in pieces that meet at the corners of both.
+    strips = [(outer[0], outer[1], hole[0]), (outer[1], hole[1], hole[0]), (outer[1], outer[2], hole[1])]
+    strips += [(outer[2], hole[2], hole[1]), (outer[2], outer[3], hole[2]), (outer[3], outer[0], hole[2])]
+    strips += [(outer[0], hole[0], hole[2])]
+    ends = [_triangle(*((*corner, end) for corner in strip)) for strip in strips for end in (-0.3, 0.3)]
+    yield (
+        "extruded polygon with a hole",
+        fb.polygon([outer, hole]).extrude(0.6),
+        lambda p: (
+            _in_polygon(p[:, 0], p[:, 1], outer) & ~_in_polygon(p[:, 0], p[:, 1], hole) & (np.abs(z(p)) <= 0.3)
+        ),
+        _join(*walls, *ends),
+    )
+    slope, bottom, top = np.tan(np.radians(20)), np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]), 1 - np.tan(np.radians(20))
+    faces = [(*_lifted(bottom, -0.5), *_lifted(top * bottom, 0.5))]
+    yield (
+        "tapered rectangle",
+        fb.rectangle((2, 2)).extrude(1, taper_deg=20),
+        lambda p: (np.abs(p[:, :2]).max(axis=1) <= 1 - (z(p) + 0.5) * slope) & (np.abs(z(p)) <= 0.5),
+        _join(
+            *(_triangle(c[i], c[(i + 1) % 4], c[4 + i]) for c in faces for i in range(4)),
+            *(_triangle(c[(i + 1) % 4], c[4 + (i + 1) % 4], c[4 + i]) for c in faces for i in range(4)),
+            *(_triangle(c[j], c[j + 1], c[j + 2]) for c in faces for j in (0, 4)),
+            *(_triangle(c[j], c[j + 2], c[j + 3]) for c in faces for j in (0, 4)),
+        ),
+    )
+    yield ("thread", fb.thread(2, 0.4, 1.0), _in_thread, _thread_surface())
+
+
+def _edges(corners):
+    return zip(corners, np.roll(corners, -1, axis=0), strict=True)
+
+
+def _lifted(corners, height):
+    return [(*corner, height) for corner in corners]
+
+
+#: Corners (r, u) of a period of the thread: ISO 68-1 with the major radius 1 and the pitch 0.4.
+THREAD = np.array([(1, -0.025), (1, 0.025), (1 - 0.625 * np.sqrt(0.75) * 0.4, 0.15), (1 - 0.625 * np.sqrt(0.75) * 0.4, 0.25), (1, 0.375)])
+
+
+def _in_thread(p):
+    u = p[:, 2] - 0.4 * np.arctan2(p[:, 1], p[:, 0]) / (2 * np.pi)
+    limit = np.interp((u + 0.025) % 0.4 - 0.025, THREAD[:, 1], THREAD[:, 0])
+    return (np.hypot(p[:, 0], p[:, 1]) <= limit) & (np.abs(p[:, 2]) <= 0.5)
+
+
+def _thread_surface():
+    def strip(a, b):
+        points, gap = _patch(
+            lambda t, angle: (
+                (a[0] + t * (b - a)[0]) * np.cos(angle),
+                (a[0] + t * (b - a)[0]) * np.sin(angle),
+                a[1] + t * (b - a)[1] + 0.4 * angle / (2 * np.pi),
+            ),
+            (0, 1),
+            (-6 * np.pi, 6 * np.pi),
+            900,
+        )
+        return points[np.abs(points[:, 2]) <= 0.5], gap
+
+    def cap(height):
+        def at(share, angle):
+            u = height - 0.4 * angle / (2 * np.pi)
+            limit = np.interp((u + 0.025) % 0.4 - 0.025, THREAD[:, 1], THREAD[:, 0])
+            return share * limit * np.cos(angle), share * limit * np.sin(angle), 0 * angle + height
+
+        return _patch(at, (0, 1), (-np.pi, np.pi))
+
+    return _join(*(strip(a, b) for a, b in zip(THREAD, THREAD[1:], strict=False)), cap(-0.5), cap(0.5))
+
 
 def _frame_solid():
     """Twelve bars: inside the box and in no more than one of the three windows' ranges."""

@@ -53,6 +53,8 @@ function element<K extends keyof HTMLElementTagNameMap>(
 
 export class Controls {
   onPick: (pick: Pick) => void = () => {};
+  /** Called by the button "reset". */
+  onReset: () => void = () => {};
   /** Called after input has changed the camera or a setting. */
   onInput: () => void = () => {};
   private readonly bar: HTMLElement;
@@ -189,14 +191,20 @@ export class Controls {
     return layer;
   }
 
-  /** Add a slider whose changes go to `onValue`. */
-  addSlider(name: string, least: number, largest: number, value: number, onValue: (value: number) => void): void {
+  /** Add a slider whose changes go to `onValue`. Returns a function that moves the slider to its first value. */
+  addSlider(name: string, least: number, largest: number, value: number, onValue: (value: number) => void): () => void {
     const input = this.range(this.bar, name, name, least, largest, value);
     const shown = element("output", input.parentElement!, text(value));
-    input.addEventListener("input", () => {
+    const changed = () => {
       shown.textContent = text(Number(input.value));
       onValue(Number(input.value));
-    }, { signal: this.stop.signal });
+    };
+    input.addEventListener("input", changed, { signal: this.stop.signal });
+    return () => {
+      if (input.value === String(value)) return;
+      input.value = String(value);
+      changed();
+    };
   }
 
   /** Show a message below the picture. */
@@ -239,6 +247,7 @@ export class Controls {
     Object.assign(view.settings, { level: 0, slice: null, light: null, colors: "light", mesh: false, background: view.data.description.background });
     this.isLight = false;
     if (this.pages) this.pages.hidden = true;
+    this.onReset();
     this.change(() => {});
   }
 

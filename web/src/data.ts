@@ -52,6 +52,15 @@ export interface PageData {
   volumes: { name: string; box: [number, number, number, number] }[];
 }
 
+/** Sliders of a page: numbers of the first instance that change linearly with parameters. */
+export interface SliderData {
+  /** Places of the numbers that change, counted from the first number of the instance, and their first values. */
+  places: number[];
+  numbers: number[];
+  /** The range of each parameter, its first value, and the change of each number per unit. */
+  parameters: { name: string; range: [number, number]; value: number; slopes: number[] }[];
+}
+
 export interface ViewData {
   title: string;
   size: [number, number];
@@ -76,6 +85,7 @@ export interface ViewData {
   /** Largest error of the stored samples, world units; null where the samples are exact or their errors are not known. */
   error: number | null;
   pages: PageData[];
+  sliders: SliderData | null;
   note: string;
 }
 
@@ -109,6 +119,18 @@ export class Data {
     const start = 4 + 4 * Math.ceil(length / 4);
     this.words = new Uint32Array(buffer.slice(start));
     this.bytes = new Uint8Array(this.words.buffer);
+  }
+
+  /** Write the numbers of the first instance for these values of the sliders. */
+  setParameters(values: number[]): void {
+    const { sliders, instances } = this.description;
+    if (!sliders) return;
+    const numbers = new Float32Array(this.words.buffer, 4 * instances[0].record[FIRST]);
+    sliders.places.forEach((place, i) => {
+      let number = sliders.numbers[i];
+      sliders.parameters.forEach(({ value, slopes }, k) => (number += (values[k] - value) * slopes[i]));
+      numbers[place] = number;
+    });
   }
 
   get count(): number {

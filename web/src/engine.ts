@@ -59,6 +59,11 @@ export class Resources {
     this.inverses = data.description.instances.map((instance) => inverse(instance.fieldFromWorld));
   }
 
+  /** Send the words to the device again before the next picture. */
+  refresh(): void {
+    this.level = null;
+  }
+
   free(): void {
     for (const texture of [this.words, this.filtered, this.table]) texture?.free();
     for (const { shape } of this.surfaces.values()) shape.free();

@@ -41,6 +41,15 @@ export function mount(root: HTMLElement, buffer: ArrayBuffer): Mounted {
   if (still) still.before(canvas);
   else root.append(canvas);
   const controls = new Controls(root, view);
+  const sliders = data.description.sliders?.parameters ?? [];
+  const values = sliders.map(({ value }) => value);
+  const resets = sliders.map(({ name, range: [least, largest], value }, i) =>
+    controls.addSlider(name, least, largest, value, (changed) => {
+      values[i] = changed;
+      view.setParameters(values);
+    }),
+  );
+  controls.onReset = () => resets.forEach((reset) => reset());
   const copied = still && showStill(still, view);
   view.onProblem = (message) => {
     controls.say(message);

@@ -174,6 +174,13 @@ export class View {
     return true;
   }
 
+  /** Draw the shape with these values of the sliders of the page. */
+  setParameters(values: number[]): void {
+    this.data.setParameters(values);
+    this.resources?.refresh();
+    this.redraw("moving");
+  }
+
   close(): void {
     this.isClosed = true;
     this.turn++;

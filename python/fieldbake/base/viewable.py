@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from .encodings import PageEncoding
@@ -48,6 +48,8 @@ class Viewable(Pictured):
         camera: Any = None,
         encoding: PageEncoding = "snorm8",
         size: tuple[int, int] = (640, 480),
+        parameters: Mapping[str, tuple[float, float]] | None = None,
+        model: Callable[..., Any] | None = None,
     ) -> str:
         """Write a live view as one HTML page, which needs no network and no server.
 
@@ -68,6 +70,13 @@ class Viewable(Pictured):
             compression. Quantised volumes stay as they are; quadrics, and shapes of at most 64 nodes, have no samples.
         size : (width, height), default (640, 480)
             Size of the canvas, CSS pixels.
+        parameters : mapping from names to (least, largest), optional
+            Parameters of a shape, as for :meth:`show`. A parameter gets a slider if the structure of the shape stays in
+            its range and the numbers of the shape are linear in it: sizes, places, widths of joints and colours mostly
+            are. This is checked at five values, and at joint values of all sliders, to 1e-6 of the shape's size. The
+            line below the picture names the other parameters, which would need Python.
+        model : callable, optional
+            A function of the parameters that returns the shape; the page shows the shape at the middle of the ranges.
 
         Returns
         -------
@@ -79,7 +88,7 @@ class Viewable(Pictured):
         SceneError
             For an unusable camera or size, or an object without a view.
         ArgumentError
-            For an unknown encoding.
+            For an unknown encoding, or parameters that the shape does not have.
         OSError
             If the file cannot be written.
 
@@ -97,7 +106,7 @@ class Viewable(Pictured):
         hard, colours come from materials and paint; only :func:`fieldbake.render` has textures, opacity and scattering.
         Where the browser has no WebGL 2, or forbids scripts, the page shows a picture.
         """
-        text: str = _view("to_html")(self, path, camera, encoding, size)
+        text: str = _view("to_html")(self, path, camera, encoding, size, parameters, model)
         return text
 
     def show(self, **options: Any) -> Any:

@@ -103,6 +103,8 @@ class Content:
     remarks: list[str] = field(default_factory=list)
     #: Pictures of the pages of an atlas.
     pages: list[dict[str, Any]] = field(default_factory=list)
+    #: Sliders of a page: places of the numbers of the first instance, and their changes by each parameter.
+    sliders: dict[str, Any] | None = None
     #: Content that raymarch draws for the picture that replaces the view.
     drawn: Any = None
     _frame: Frame | None = field(default=None, repr=False)
@@ -186,6 +188,7 @@ class Content:
             "most_steps": MOST_STEPS,
             "error": error,
             "pages": self.pages,
+            "sliders": self.sliders,
             "note": "; ".join([f"{_size_text(upper - lower)} world units; iso-lines every {spacing:g}", *self.remarks]),
         }
 

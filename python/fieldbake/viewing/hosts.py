@@ -26,6 +26,7 @@ from .content import Content, content_of
 from .html import page_of
 from .output import PageOutput
 from .parameters import model_of
+from .sliders import add_sliders
 
 #: Size of the picture of an object in a notebook, pixels.
 PICTURE_SIZE = (256, 256)
@@ -62,11 +63,24 @@ def picture(geometry: Any) -> bytes | None:
 
 
 def to_html(
-    geometry: Any, path: str | os.PathLike[str] | None, camera: Camera | None, encoding: str, size: tuple[int, int]
+    geometry: Any,
+    path: str | os.PathLike[str] | None,
+    camera: Camera | None,
+    encoding: str,
+    size: tuple[int, int],
+    parameters: Mapping[str, tuple[float, float]] | None,
+    model: Callable[..., Any] | None,
 ) -> str:
     """The page of an object; see :meth:`fieldbake.Volume.to_html`."""
     target = None if path is None else checks.path(path)
-    text = page_of(checked_content(geometry, camera, encoding, size))
+    found = _parametric(geometry, parameters, model)
+    if found is None:
+        content = checked_content(geometry, camera, encoding, size)
+    else:
+        model, ranges, values = found
+        content = checked_content(model(**values), camera, encoding, size)
+        add_sliders(content, model, ranges, values)
+    text = page_of(content)
     if len(text) > LARGE_PAGE:
         advice = "a sparse or coarser volume" if encoding == "snorm8" else 'encoding="snorm8"'
         warn(
@@ -88,27 +102,37 @@ def show(
     model: Callable[..., Any] | None = None,
 ) -> Any:
     """The widget of an object, or its page where anywidget is missing; see :meth:`fieldbake.Volume.show`."""
-    if model is not None and parameters is None:
-        raise ArgumentError("model: needs parameters=, the least and largest value of each of its parameters")
-    ranges = {name: _range(name, value) for name, value in (parameters or {}).items()}
-    values = {name: 0.5 * (least + largest) for name, (least, largest) in ranges.items()}
-    if ranges and model is None:
-        if not isinstance(geometry, Shape):
-            raise ArgumentError(f"parameters: {checks.describe(geometry)} needs model=, a function of the parameters")
-        model, own = model_of(geometry, list(ranges))
-        values = {name: min(max(own[name], least), largest) for name, (least, largest) in ranges.items()}
+    found = _parametric(geometry, parameters, model)
     content = checked_content(geometry, camera, encoding, size)
     try:
         from .widget import ViewWidget
     except ImportError:
         return PageOutput(content)
-    if not ranges or model is None:
+    if found is None:
         return ViewWidget(content)
+    make, ranges, values = found
 
     def remake(values: Mapping[str, float]) -> Content:
-        return checked_content(model(**values), camera or content.camera, encoding, size)
+        return checked_content(make(**values), camera or content.camera, encoding, size)
 
     return ViewWidget(remake(values), remake, ranges, values)
+
+
+def _parametric(
+    geometry: Any, parameters: Mapping[str, tuple[float, float]] | None, model: Callable[..., Any] | None
+) -> tuple[Callable[..., Any], dict[str, tuple[float, float]], dict[str, float]] | None:
+    """The function of the parameters, their ranges and their first values; None without parameters."""
+    if model is not None and parameters is None:
+        raise ArgumentError("model: needs parameters=, the least and largest value of each of its parameters")
+    ranges = {name: _range(name, value) for name, value in (parameters or {}).items()}
+    if not ranges:
+        return None
+    if model is not None:
+        return model, ranges, {name: 0.5 * (least + largest) for name, (least, largest) in ranges.items()}
+    if not isinstance(geometry, Shape):
+        raise ArgumentError(f"parameters: {checks.describe(geometry)} needs model=, a function of the parameters")
+    made, own = model_of(geometry, list(ranges))
+    return made, ranges, {name: min(max(own[name], least), largest) for name, (least, largest) in ranges.items()}
 
 
 def _range(name: str, value: Any) -> tuple[float, float]:

@@ -184,13 +184,19 @@ def of_sparse(volume: SparseVolume, encoding: str) -> Record:
     )
 
 
-def of_shape(shape: Shape, function: tuple[int, NDArray[np.float32], Any, float, float], bias: float) -> Record:
-    """The record of a shape that has a function in the shader."""
+def of_shape(
+    shape: Shape,
+    function: tuple[int, NDArray[np.float32], Any, float, float],
+    bias: float,
+    *,
+    bounds: NDArray[np.float64] | None = None,
+) -> Record:
+    """The record of a shape that has a function in the shader; `bounds` replaces the box of the shape."""
     structure, numbers, center, scale, inverse_lipschitz = function
     local = np.eye(4)
     local[:3, :3] /= scale
     local[:3, 3] = -np.asarray(center) / scale
-    lower, upper = ((np.asarray(corner) - center) / scale for corner in shape.bounds)
+    lower, upper = ((np.asarray(corner) - center) / scale for corner in (shape.bounds if bounds is None else bounds))
     return Record(
         field_from_object=local,
         lower=lower - SHAPE_MARGIN,

@@ -220,8 +220,8 @@ fn thread(at: vec3f, k: array<f32, 6>) -> f32 {
         let u = height - rise * turn;
         let place = floor(u / pitch + 0.5) * pitch;
         let at_profile = vec2f(outer * cos(turn), abs(u - place));
-        let from = at_profile - vec2f(major, crest);
-        var best = vec2f(major, crest) + clamp(dot(from, flank) / dot(flank, flank), 0.0, 1.0) * flank;
+        let from_crest_end = at_profile - vec2f(major, crest);
+        var best = vec2f(major, crest) + clamp(dot(from_crest_end, flank) / dot(flank, flank), 0.0, 1.0) * flank;
         let on_crest = vec2f(major, min(at_profile.y, crest));
         if distance(at_profile, on_crest) < distance(at_profile, best) { best = on_crest; }
         let on_root = vec2f(minor, max(at_profile.y, root));

@@ -56,9 +56,18 @@ impl Solid {
     pub fn new(shape: &Shape) -> Result<Self, Error> {
         let model = Model::new(shape)?;
         let frame = LocalFrame::of(&model);
+        Ok(Self::in_frame(shape, model, frame))
+    }
+
+    /// [`Self::new`] in given local units. Numbers of shapes in one frame are comparable.
+    pub fn placed(shape: &Shape, frame: LocalFrame) -> Result<Self, Error> {
+        Ok(Self::in_frame(shape, Model::new(shape)?, frame))
+    }
+
+    fn in_frame(shape: &Shape, model: Model, frame: LocalFrame) -> Self {
         let program = Program::new(&model, frame);
         let precise = Program::new(&model, frame);
-        Ok(Self {
+        Self {
             shape: shape.clone(),
             model,
             frame,
@@ -66,7 +75,7 @@ impl Solid {
             precise,
             parts: Default::default(),
             cells: Default::default(),
-        })
+        }
     }
 
     /// Lower and upper corner, or an error that names the leaf without bounds. An empty solid has its centre twice.

@@ -13,9 +13,8 @@ use std::fmt::Write;
 /// Largest number of tokens of a shape. Drivers inline the function at each call, and longer ones compile for minutes.
 const MAX_TOKENS: usize = 64;
 
-/// Largest number of parameters of a shape. Each corner of a polygon is an iteration of a loop, and software adapters
-/// stop an invocation after 65,535 iterations.
-const MAX_NUMBERS: usize = 4096;
+/// Largest number of parameters of a shape, most of which are the tables of polygons: 256 KiB.
+const MAX_NUMBERS: usize = 1 << 16;
 
 /// The field of a shape at `p0`, local units. Its parameters start at index `n` of an array.
 #[derive(Debug)]

@@ -87,7 +87,8 @@ pub(crate) fn resolved(mut loops: Vec<Loop>, rule: Rule) -> Result<Vec<Loop>, Sh
         let depths: Vec<usize> = (0..loops.len()).map(|i| depth(&loops, i)).collect();
         let is_outer = |i: usize| depths[i].is_multiple_of(2);
         // Alternating orientations mean the same region under both rules.
-        let alternate = (0..loops.len()).all(|i| (area(&loops[i]) > 0.0) == is_outer(i));
+        let is_regular = |i: usize| (area(&loops[i]) > 0.0) == is_outer(i);
+        let alternate = (1..loops.len()).all(|i| is_regular(i) == is_regular(0));
         if alternate || rule == Rule::EvenOdd || loops.len() == 1 {
             for (i, corners) in loops.iter_mut().enumerate() {
                 if (area(corners) > 0.0) != depths[i].is_multiple_of(2) {
