@@ -8,6 +8,7 @@ distance to a profile turned or drawn out, the minimum, the fillet), not the cor
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -284,7 +285,10 @@ def _solids():
         _box_sides((0.6, 0.4, 0.3)),
     )
 
-    outer, hole = np.array([(-1, -0.8), (0.9, -0.8), (0.9, 0.7), (-1, 0.7)]), np.array([(-0.5, -0.4), (0.5, -0.4), (0, 0.3)])
+    outer, hole = (
+        np.array([(-1, -0.8), (0.9, -0.8), (0.9, 0.7), (-1, 0.7)]),
+        np.array([(-0.5, -0.4), (0.5, -0.4), (0, 0.3)]),
+    )
     walls = [_side((*a, -0.3), (*(b - a), 0), (0, 0, 0.6)) for loop in (outer, hole) for a, b in _edges(loop)]
     # The triangle between the hole and the outer corners, in pieces that meet at the corners of both.
     strips = [(outer[0], outer[1], hole[0]), (outer[1], hole[1], hole[0]), (outer[1], outer[2], hole[1])]
@@ -294,12 +298,14 @@ def _solids():
     yield (
         "extruded polygon with a hole",
         fb.polygon([outer, hole]).extrude(0.6),
-        lambda p: (
-            _in_polygon(p[:, 0], p[:, 1], outer) & ~_in_polygon(p[:, 0], p[:, 1], hole) & (np.abs(z(p)) <= 0.3)
-        ),
+        lambda p: _in_polygon(p[:, 0], p[:, 1], outer) & ~_in_polygon(p[:, 0], p[:, 1], hole) & (np.abs(z(p)) <= 0.3),
         _join(*walls, *ends),
     )
-    slope, bottom, top = np.tan(np.radians(20)), np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]), 1 - np.tan(np.radians(20))
+    slope, bottom, top = (
+        np.tan(np.radians(20)),
+        np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]),
+        1 - np.tan(np.radians(20)),
+    )
     faces = [(*_lifted(bottom, -0.5), *_lifted(top * bottom, 0.5))]
     yield (
         "tapered rectangle",
@@ -324,7 +330,15 @@ def _lifted(corners, height):
 
 
 #: Corners (r, u) of a period of the thread: ISO 68-1 with the major radius 1 and the pitch 0.4.
-THREAD = np.array([(1, -0.025), (1, 0.025), (1 - 0.625 * np.sqrt(0.75) * 0.4, 0.15), (1 - 0.625 * np.sqrt(0.75) * 0.4, 0.25), (1, 0.375)])
+THREAD = np.array(
+    [
+        (1, -0.025),
+        (1, 0.025),
+        (1 - 0.625 * np.sqrt(0.75) * 0.4, 0.15),
+        (1 - 0.625 * np.sqrt(0.75) * 0.4, 0.25),
+        (1, 0.375),
+    ]
+)
 
 
 def _in_thread(p):
@@ -355,7 +369,7 @@ def _thread_surface():
 
         return _patch(at, (0, 1), (-np.pi, np.pi))
 
-    return _join(*(strip(a, b) for a, b in zip(THREAD, THREAD[1:], strict=False)), cap(-0.5), cap(0.5))
+    return _join(*(strip(a, b) for a, b in itertools.pairwise(THREAD)), cap(-0.5), cap(0.5))
 
 
 def _frame_solid():

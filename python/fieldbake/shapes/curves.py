@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
@@ -29,7 +30,7 @@ def circle_points(radius: float) -> Array:
     return outer * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
-def bezier_points(controls: Sequence[Sequence[float]], tolerance: float) -> Array:
+def bezier_points(controls: Sequence[ArrayLike], tolerance: float) -> Array:
     """A polyline along a Bezier curve of degree 2 or 3, without its first point, (n, 2).
 
     The polyline has the ends of the curve. The signed area between it and the chord is that of the curve: its inner
@@ -68,7 +69,7 @@ def _evaluated(points: Array, at: Array) -> Array:
     """Points of a Bezier curve by de Casteljau's algorithm."""
     level = [np.broadcast_to(point, (len(at), 2)) for point in points]
     while len(level) > 1:
-        level = [a + at[:, None] * (b - a) for a, b in zip(level, level[1:], strict=False)]
+        level = [a + at[:, None] * (b - a) for a, b in itertools.pairwise(level)]
     return np.array(level[0])
 
 

@@ -15,6 +15,9 @@ from .shape import Shape, combine
 #: Height of a subtracted profile over the height of the extrusion, so that its end faces are far from the solid.
 TALLER = 64.0
 
+#: Polygons farther from the origin than this many times their size are stored about their centre.
+FAR = 8.0
+
 
 @dataclass(frozen=True)
 class Leaf:
@@ -30,13 +33,16 @@ class Leaf:
     offset: tuple[float, float] = (0.0, 0.0)
 
     def moved(self, offset: tuple[float, float]) -> Leaf:
+        """Move the profile by a vector."""
         return Leaf(self.kind, self.numbers, self.counts, (self.offset[0] + offset[0], self.offset[1] + offset[1]))
 
     def scaled(self, factor: float) -> Leaf:
+        """Scale the profile about the origin."""
         x, y = self.offset
         return Leaf(self.kind, tuple(factor * x for x in self.numbers), self.counts, (factor * x, factor * y))
 
     def rotated(self, degrees: float) -> Leaf:
+        """Rotate the profile about the origin, counter-clockwise."""
         sine, cosine = math.sin(math.radians(degrees)), math.cos(math.radians(degrees))
         turn = np.array([[cosine, -sine], [sine, cosine]])
         x, y = (turn @ self.offset).tolist()
@@ -65,14 +71,14 @@ class Leaf:
         corners = np.array(self.numbers).reshape(-1, 2)
         return np.split(corners, np.cumsum(self.counts)[:-1])
 
-    def extruded(
-        self, height: float, taper_deg: float = 0.0, chamfer: tuple[float, float] = (0.0, 0.0)
-    ) -> Shape:
+    def extruded(self, height: float, taper_deg: float = 0.0, chamfer: tuple[float, float] = (0.0, 0.0)) -> Shape:
+        """Extrude the profile along z, centred at z = 0."""
         core = _core.Shape.extrude(self.kind, list(self.numbers), list(self.counts), height, taper_deg, chamfer)
         x, y = self.offset
         return Shape._wrap(core) if x == 0 and y == 0 else Shape._wrap(core).translate((x, y, 0.0))
 
     def revolved(self, offset: float) -> Shape:
+        """Revolve the profile about z; `offset` is added to its x."""
         x, y = self.offset
         shape = Shape._wrap(_core.Shape.revolve(self.kind, list(self.numbers), list(self.counts), offset + x))
         return shape if y == 0 else shape.translate((0.0, 0.0, y))
@@ -86,24 +92,27 @@ class Combined:
     parts: tuple[Tree, ...]
 
     def moved(self, offset: tuple[float, float]) -> Combined:
+        """Move the profile by a vector."""
         return Combined(self.op, tuple(part.moved(offset) for part in self.parts))
 
     def scaled(self, factor: float) -> Combined:
+        """Scale the profile about the origin."""
         return Combined(self.op, tuple(part.scaled(factor) for part in self.parts))
 
     def rotated(self, degrees: float) -> Combined:
+        """Rotate the profile about the origin, counter-clockwise."""
         return Combined(self.op, tuple(part.rotated(degrees) for part in self.parts))
 
-    def grown(self, distance: float) -> None:
-        return None
+    def grown(self, _distance: float) -> None:
+        """No combination is a leaf."""
 
     def loops(self) -> list[Array]:
+        """Polygons (m, 2), outer ones counter-clockwise and holes clockwise."""
         loops = [part.loops() for part in self.parts]
         return reduce(lambda first, second: _core.combined_polygons(self.op, first, second), loops)
 
-    def extruded(
-        self, height: float, taper_deg: float = 0.0, chamfer: tuple[float, float] = (0.0, 0.0)
-    ) -> Shape:
+    def extruded(self, height: float, taper_deg: float = 0.0, chamfer: tuple[float, float] = (0.0, 0.0)) -> Shape:
+        """Extrude the profile along z, centred at z = 0."""
         if taper_deg or any(chamfer):
             # The sides of the parts differ from the sides of the whole.
             return polygon_leaf(self.loops()).extruded(height, taper_deg, chamfer)
@@ -118,6 +127,7 @@ class Combined:
         return combine(self.op, [part.extruded(height) for part in self.parts])
 
     def revolved(self, offset: float) -> Shape:
+        """Revolve the profile about z; `offset` is added to its x."""
         return combine(self.op, [part.revolved(offset) for part in self.parts])
 
 
@@ -126,5 +136,13 @@ Tree = Leaf | Combined
 
 def polygon_leaf(loops: list[Array]) -> Leaf:
     """A leaf of polygons (m, 2), outer ones counter-clockwise and holes clockwise."""
-    numbers = tuple(np.concatenate([np.zeros((0, 2)), *loops]).ravel().tolist())
-    return Leaf("polygon", numbers, tuple(len(loop) for loop in loops))
+    offset = np.zeros(2)
+    if loops:
+        lower = np.min([loop.min(axis=0) for loop in loops], axis=0)
+        upper = np.max([loop.max(axis=0) for loop in loops], axis=0)
+        # Float32 is too coarse for corners far from the origin. Differences from multiples of powers of two are exact.
+        size = 2.0 ** math.ceil(math.log2(max(float((upper - lower).max()), 1e-300)))
+        if np.abs(lower).max() > FAR * size:
+            offset = np.round(0.5 * (lower + upper) / size) * size
+    numbers = tuple(np.concatenate([np.zeros((0, 2)), *(loop - offset for loop in loops)]).ravel().tolist())
+    return Leaf("polygon", numbers, tuple(len(loop) for loop in loops), (float(offset[0]), float(offset[1])))

@@ -20,14 +20,13 @@ class Font:
     def __init__(self, source: str | os.PathLike[str] | None) -> None:
         library = optional_module("fontTools.ttLib", "text", extra="text")
         try:
-            file: Any = _default_face() if source is None else checks.path(source, "font", ShapeError)
+            path = None if source is None else checks.path(source, "font", ShapeError)
+            file = _default_face() if path is None else BytesIO(path.read_bytes())
             # Kerning needs one table of a font, and damage elsewhere does not matter.
             self._font = library.TTFont(file, lazy=True)
             self._letters: dict[int, str] = self._font.getBestCmap() or {}
             self._glyphs = self._font.getGlyphSet()
             self.em = int(self._font["head"].unitsPerEm)
-        except FileNotFoundError:
-            raise
         except (library.TTLibError, KeyError, AttributeError, ValueError) as error:
             raise ShapeError(f"font: {source} is no readable .ttf or .otf file: {error}") from error
         self._kerning = _Kerning(self._font)
@@ -59,16 +58,16 @@ class Font:
                 super().__init__(glyphs)
                 self.loops: list[list[Array]] = []
 
-            def _moveTo(self, point: Any) -> None:
+            def _moveTo(self, point: Any) -> None:  # noqa: N802
                 self.loops.append([np.array([point], dtype=np.float64)])
 
-            def _lineTo(self, point: Any) -> None:
+            def _lineTo(self, point: Any) -> None:  # noqa: N802
                 self.loops[-1].append(np.array([point], dtype=np.float64))
 
-            def _curveToOne(self, *points: Any) -> None:
+            def _curveToOne(self, *points: Any) -> None:  # noqa: N802
                 self.loops[-1].append(bezier_points([self._getCurrentPoint(), *points], tolerance))
 
-            def _qCurveToOne(self, *points: Any) -> None:
+            def _qCurveToOne(self, *points: Any) -> None:  # noqa: N802
                 self.loops[-1].append(bezier_points([self._getCurrentPoint(), *points], tolerance))
 
         pen = Pen(self._glyphs)

@@ -57,7 +57,8 @@ def text(
     Notes
     -----
     Curves become polylines within 1e-4 of the em, of the same area as the curves. Pairs of glyphs are kerned by the
-    OpenType feature ``kern`` or by the table ``kern``. Ligatures, marks and scripts that need shaping are not supported.
+    OpenType feature ``kern`` or by the table ``kern``. Ligatures, marks and scripts that need shaping are not
+    supported.
 
     Examples
     --------

@@ -78,14 +78,14 @@ class Profile:
         rule : "even-odd" or "nonzero", optional
             The rule of the inside. The default is the attribute ``fill-rule`` of each element, else ``"nonzero"``.
         tolerance : float, optional
-            Distance of the polygons from arcs and Bezier curves, units of the picture; the default is 1e-4 of its longest
-            side. The polygons have the area of the curves.
+            Distance of the polygons from arcs and Bezier curves, units of the picture; the default is 1e-4 of its
+            longest side. The polygons have the area of the curves.
 
         Returns
         -------
         Profile
-            The union of all filled elements; strokes and text are ignored. One unit is a pixel of the picture, 1/96 of
-            an inch, and y points upwards.
+            The union of all filled elements; strokes and text are ignored. One world unit is a millimetre of a picture
+            with a physical size, as :meth:`Section.to_svg` writes it, else a pixel. y points upwards.
 
         Raises
         ------
@@ -150,8 +150,8 @@ class Profile:
         """Grow the profile by `distance`, world units; a negative distance shrinks it.
 
         The result is the set of points within `distance` of the profile, or of points farther than its magnitude from
-        the outside. Its convex corners become arcs when it grows, concave ones when it shrinks. Arcs are polygons within
-        1.3e-4 of `distance`.
+        the outside. Its convex corners become arcs when it grows, concave ones when it shrinks. Arcs are polygons
+        within 1.3e-4 of `distance`.
 
         Raises
         ------
@@ -211,14 +211,14 @@ class Profile:
         Parameters
         ----------
         path : (n, 3) real
-            Corners of the polyline, world units, at least two; see :func:`helix`. If the last point is the first one, the
-            path is closed.
+            Corners of the polyline, world units, at least two; see :func:`helix`. If the last point is the first one,
+            the path is closed.
 
         Returns
         -------
         Shape
-            The union of a prism for each segment, cut off at each corner by the plane that halves the angle. Its field is
-            a lower bound on the distance.
+            The union of a prism for each segment, cut off at each corner by the plane that halves the angle. Its field
+            is a lower bound on the distance.
 
         Raises
         ------
@@ -256,7 +256,8 @@ class Profile:
     def _repr_svg_(self) -> str | None:
         if not self.polygons:
             return None
-        return svg_text(*self.bounds, [svg_path(self.polygons)], pixels=PICTURE)
+        lower, upper = self.bounds
+        return svg_text(lower, upper, [svg_path(self.polygons)], pixels=PICTURE)
 
 
 def circle(radius: float = 1.0) -> Profile:

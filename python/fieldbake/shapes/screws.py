@@ -43,16 +43,16 @@ def thread(
     internal : bool, default False
         Whether the shape is to be subtracted, so that `clearance` makes it larger instead of smaller.
     profile : "iso" or "trapezoidal", default "iso"
-        The basic profile of ISO 68-1 (metric, flanks of 30 degrees) or of ISO 2904 (flanks of 15 degrees). It has neither
-        the roundings nor the tolerances of these standards.
+        The basic profile of ISO 68-1 (metric, flanks of 30 degrees) or of ISO 2904 (flanks of 15 degrees). It has
+        neither the roundings nor the tolerances of these standards.
     clearance : float, default 0
         Distance by which crests, flanks and roots move along their normals into the material, world units, at most a
         quarter of the minor radius. The ends stay in their places. A rod and a hole of clearance c are 2 c apart.
     lead_in : float, default 0
         Radial length of a cone of 45 degrees at both ends, world units. The end faces of a rod have the diameter
         ``diameter - 2 * lead_in``. A hole has countersinks, whose diameter in the end planes is
-        ``minor diameter + 2 * lead_in``; they go on beyond the ends by one pitch, so that nothing of a nut of this length
-        covers them.
+        ``minor diameter + 2 * lead_in``; they go on beyond the ends by one pitch, so that nothing of a nut of this
+        length covers them.
 
     Returns
     -------
@@ -96,7 +96,7 @@ def thread(
     if is_hole:
         radius = 0.5 * wide - DEPTHS[kind] * turn + lead + moved
         # The cone ends one pitch beyond the end plane, where it is wider by one pitch.
-        sink = cone(radius + turn, radius + turn).translate((0.0, 0.0, 0.5 * (turn - radius - tall)))
+        sink = cone(radius + turn, radius + turn).translate((0.0, 0.0, 0.5 * (radius - turn - tall)))
         sinks = sink | sink.reflect("z")
         return (rod & slab(tall)) | (sinks & slab(tall + 2 * turn))
     end = 0.5 * wide + moved - lead

@@ -42,7 +42,8 @@ def _of_file(library: Any, path: os.PathLike[str]) -> list[tuple[Any, str]]:
     from xml.etree.ElementTree import ParseError
 
     try:
-        picture = library.SVG.parse(os.fspath(path))
+        # With this resolution a millimetre is one unit, and pixels stay one unit.
+        picture = library.SVG.parse(os.fspath(path), ppi=25.4)
     except (ParseError, ValueError) as error:
         raise ShapeError(f"source: {path} is no SVG picture: {error}") from error
     paths = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -92,11 +93,11 @@ def swept(extruded: Callable[[float], Shape], polygons: Sequence[Array], path: A
     lengths = np.linalg.norm(steps, axis=1)
     along = steps / lengths[:, None]
     reach = max(float(np.linalg.norm(loop, axis=1).max()) for loop in polygons)
-    frames = _frames(along)
     corners = [_corner(points[i + 1], along[i], along[i + 1], i + 1) for i in range(len(along) - 1)]
     ends: list[_Corner | None] = [None, *corners, None]
     if is_closed:
         ends[0] = ends[-1] = _corner(points[0], along[-1], along[0], 0)
+    frames = _frames(along)
     prisms = []
     for i, length in enumerate(lengths):
         tangents = [0.0 if corner is None else corner.tangent for corner in ends[i : i + 2]]
@@ -105,9 +106,7 @@ def swept(extruded: Callable[[float], Shape], polygons: Sequence[Array], path: A
                 f"path: the segment from [{i}] has the length {length:g} and needs {reach * sum(tangents):g} for its "
                 f"corners and this profile, whose corners are up to {reach:g} from the path"
             )
-        before, after = (
-            0.0 if corner is None else reach * (corner.tangent + OVERLAP) for corner in ends[i : i + 2]
-        )
+        before, after = (0.0 if corner is None else reach * (corner.tangent + OVERLAP) for corner in ends[i : i + 2])
         prism = extruded(length + before + after)
         middle = points[i] + along[i] * 0.5 * (length + after - before)
         prisms.append(_placed(prism, frames[i], middle))
@@ -161,7 +160,7 @@ def _frames(along: Array) -> list[Array]:
         x = np.array([1.0, 0.0, 0.0])
         y = np.cross(first, x)
     frames = [np.stack([x, y, first], axis=1)]
-    for before, after in zip(along[:-1], along[1:], strict=True):
+    for before, after in itertools.pairwise(along):
         # Two reflections, first in the plane across `before`, then in the plane between.
         between = before + after
         reflected = frames[-1] - 2 * np.outer(before, before @ frames[-1])

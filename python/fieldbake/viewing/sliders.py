@@ -1,8 +1,9 @@
 """Sliders of a page: parameters of a shape on which its numbers in the shader depend linearly.
 
-A page has no Python, so it cannot make the shape again. The shader reads the numbers of a shape from a table, though, and
-many parameters change them linearly: sizes, places, widths of blends and colours. For such a parameter the page stores
-the change of each number per unit of the parameter. The structure of the shape, which is the text of the shader, must stay.
+A page has no Python, so it cannot make the shape again. The shader reads the numbers of a shape from a table, though,
+and many parameters change them linearly: sizes, places, widths of blends and colours. For such a parameter the page
+stores the change of each number per unit of the parameter. The structure of the shape, which is the text of the shader,
+must stay.
 """
 
 from __future__ import annotations
@@ -54,8 +55,10 @@ class _Variant(NamedTuple):
 def add_sliders(content: Content, model: Model, ranges: Ranges, values: Mapping[str, float]) -> None:
     """Add the sliders to the page of ``model(**values)``; a remark names the parameters that need Python."""
     shapes = {name: [model(**{**values, name: at}) for at in _steps(ranges[name])] for name in ranges}
-    joint = [{name: least + share * (most - least) for (name, (least, most)), share in zip(ranges.items(), row, strict=True)}
-             for row in np.random.default_rng(0).uniform(size=(JOINT, len(ranges))).tolist()]
+    joint = [
+        {name: least + share * (most - least) for (name, (least, most)), share in zip(ranges.items(), row, strict=True)}
+        for row in np.random.default_rng(0).uniform(size=(JOINT, len(ranges))).tolist()
+    ]
     first = model(**values)
     every = [first, *(shape for group in shapes.values() for shape in group)]
     if not all(isinstance(shape, Shape) for shape in every):
@@ -75,19 +78,31 @@ def add_sliders(content: Content, model: Model, ranges: Ranges, values: Mapping[
         rows = np.stack([one.numbers for one in found if one is not None])
         slope = (rows[-1] - rows[0]) / (most - least)
         away = np.array(_steps((least, most))) - values[name]
-        if _agrees(rows, base.numbers + away[:, None] * slope) and _is_joint(model, values, ranges, frame, base, {**slopes, name: slope}):
+        if _agrees(rows, base.numbers + away[:, None] * slope) and _is_joint(
+            model, values, ranges, frame, base, {**slopes, name: slope}
+        ):
             slopes[name] = slope
     _remark(content, [name for name in ranges if name not in slopes])
     if slopes:
         _store(content, first, box, base, slopes, ranges, values)
 
 
-def _is_joint(model: Model, values: Mapping[str, float], ranges: Ranges, frame: Frame, base: _Variant, slopes: Mapping[str, NDArray[np.float64]]) -> bool:
+def _is_joint(
+    model: Model,
+    values: Mapping[str, float],
+    ranges: Ranges,
+    frame: Frame,
+    base: _Variant,
+    slopes: Mapping[str, NDArray[np.float64]],
+) -> bool:
     """Whether the changes of several parameters add up, at joint values in their ranges."""
     if len(slopes) == 1:
         return True
     for row in np.random.default_rng(1).uniform(size=(JOINT, len(slopes))).tolist():
-        at = {name: ranges[name][0] + share * (ranges[name][1] - ranges[name][0]) for name, share in zip(slopes, row, strict=True)}
+        at = {
+            name: ranges[name][0] + share * (ranges[name][1] - ranges[name][0])
+            for name, share in zip(slopes, row, strict=True)
+        }
         found = _variant(model(**{**values, **at}), frame)
         expected = base.numbers + sum((at[name] - values[name]) * slope for name, slope in slopes.items())
         if found is None or found.text != base.text or not _agrees(found.numbers, expected):
@@ -96,7 +111,9 @@ def _is_joint(model: Model, values: Mapping[str, float], ranges: Ranges, frame: 
 
 
 def _agrees(found: NDArray[np.float64], expected: NDArray[np.float64]) -> bool:
-    return bool(np.abs(found - expected).max(initial=0.0) <= TOLERANCE * max(1.0, float(np.abs(expected).max(initial=0.0))))
+    return bool(
+        np.abs(found - expected).max(initial=0.0) <= TOLERANCE * max(1.0, float(np.abs(expected).max(initial=0.0)))
+    )
 
 
 def _steps(limits: tuple[float, float]) -> list[float]:

@@ -214,21 +214,19 @@ fn thread(at: vec3f, k: array<f32, 6>) -> f32 {
     let from_crest = abs(height - floor(height / pitch + 0.5) * pitch);
     let limit = major + clamp((from_crest - crest) / flank.y, 0.0, 1.0) * flank.x;
 
-    var turn = 0.0;
     var nearest = CSG_FAR;
+    if from_crest <= crest { nearest = abs(outer - major); }
+    if from_crest >= root { nearest = min(nearest, abs(outer - minor)); }
+    var turn = 0.0;
     for (var i = 0u; i < THREAD_SEARCHES; i++) {
         let u = height - rise * turn;
         let place = floor(u / pitch + 0.5) * pitch;
         let at_profile = vec2f(outer * cos(turn), abs(u - place));
-        let from_crest_end = at_profile - vec2f(major, crest);
-        var best = vec2f(major, crest) + clamp(dot(from_crest_end, flank) / dot(flank, flank), 0.0, 1.0) * flank;
-        let on_crest = vec2f(major, min(at_profile.y, crest));
-        if distance(at_profile, on_crest) < distance(at_profile, best) { best = on_crest; }
-        let on_root = vec2f(minor, max(at_profile.y, root));
-        if distance(at_profile, on_root) < distance(at_profile, best) { best = on_root; }
-        nearest = min(nearest, length(vec2f(distance(at_profile, best), outer * sin(turn))));
-        let along = place + select(best.y, -best.y, u < place);
-        turn = rise * (height - along) / (outer * best.x + rise * rise);
+        let share = clamp(dot(at_profile - vec2f(major, crest), flank) / dot(flank, flank), 0.0, 1.0);
+        let on_flank = vec2f(major, crest) + share * flank;
+        nearest = min(nearest, length(vec3f(at_profile - on_flank, outer * sin(turn))));
+        let along = place + select(on_flank.y, -on_flank.y, u < place);
+        turn = rise * (height - along) / (outer * on_flank.x + rise * rise);
     }
     let inner = max(minor - r, nearest - (core - r));
     let size = select(nearest, inner, r < core);

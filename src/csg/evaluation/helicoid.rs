@@ -10,7 +10,7 @@
 //! min over a of  (R sin a)^2 + D(R cos a, Z - h a)^2,    D: distance to the curve in its plane
 //! ```
 //!
-//! The minimum is found by alternation: the point of the curve that is nearest at one angle, then one step of Newton's
+//! The minimum for a flank is found by alternation: its point that is nearest at one angle, then one step of Newton's
 //! method to the angle that is nearest for this point. No step raises the distance but by rounding, and each step divides
 //! the error of the angle by about `R^2 / h^2`, which is 300 for M10.
 //!
@@ -21,7 +21,7 @@
 //! value is at most `2 L - 1` times the distance with `L` at `core`. A nearest point is never beyond the core: the way
 //! would be longer than `sqrt(3)/2 minor`, and a root is nearer because the pitch is at most `minor`.
 
-use super::scalar::{Scalar, length2};
+use super::scalar::{Scalar, length2, length3};
 use crate::csg::tree::primitive::PARAMETERS;
 use crate::gpu::constants::csg_field::{THREAD_CORE, THREAD_SEARCHES};
 use std::f64::consts::PI;
@@ -47,29 +47,29 @@ pub(crate) fn thread<F: Scalar>([x, y, z]: [F; 3], p: &[F; PARAMETERS]) -> F {
     let flank = [minor - major, root - crest];
     let inverse = one / (flank[0] * flank[0] + flank[1] * flank[1]);
 
-    let (v, ..) = folded(height, pitch);
-    let limit = major + ((v - crest) / flank[1]).between(zero, one) * flank[0];
+    let (from_crest, ..) = folded(height, pitch);
+    let limit = major + ((from_crest - crest) / flank[1]).between(zero, one) * flank[0];
     let is_inside = outer < limit;
 
-    let mut turn = zero;
+    // Crests and roots are parts of cylinders, whose nearest point lies in the half plane of the point.
     let mut nearest = F::of(f64::from(f32::MAX));
+    if !(from_crest > crest) {
+        nearest = (outer - major).abs();
+    }
+    if !(from_crest < root) {
+        nearest = nearest.least((outer - minor).abs());
+    }
+    let mut turn = zero;
     for _ in 0..THREAD_SEARCHES {
         let (cos, sin) = (turn.cos(), turn.sin());
         let (at_r, at_u) = (outer * cos, height - rise * turn);
         let (v, place, is_below) = folded(at_u, pitch);
         let share = ((at_r - major) * flank[0] + (v - crest) * flank[1]) * inverse;
         let share = share.between(zero, one);
-        let mut best = [major + share * flank[0], crest + share * flank[1]];
-        let mut least = length2(at_r - best[0], v - best[1]);
-        for other in [[major, v.least(crest)], [minor, v.most(root)]] {
-            let distance = length2(at_r - other[0], v - other[1]);
-            if distance < least {
-                (least, best) = (distance, other);
-            }
-        }
-        nearest = nearest.least(length2(least, outer * sin));
-        let along = if is_below { place - best[1] } else { place + best[1] };
-        turn = rise * (height - along) / (outer * best[0] + rise * rise);
+        let on_flank = [major + share * flank[0], crest + share * flank[1]];
+        nearest = nearest.least(length3([at_r - on_flank[0], v - on_flank[1], outer * sin]));
+        let along = if is_below { place - on_flank[1] } else { place + on_flank[1] };
+        turn = rise * (height - along) / (outer * on_flank[0] + rise * rise);
     }
     let inner = (minor - r).most(nearest - (core - r));
     let distance = if r < core { inner } else { nearest };

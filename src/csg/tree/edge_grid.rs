@@ -23,7 +23,7 @@ use glam::DVec2;
 const FEW_EDGES: usize = 12;
 
 /// Largest number of cells.
-const MAX_CELLS: f64 = 16384.0;
+const MAX_CELLS: f64 = 65536.0;
 
 /// Margin of the lists over the diagonal of the grid: float32 positions beside the border of a cell.
 const SLACK: f64 = 1e-5;

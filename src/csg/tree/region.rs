@@ -156,7 +156,7 @@ fn check(loops: &[Loop]) -> Result<(), ShapeError> {
         return error(format!("a profile has at most {MAX_CORNERS} corners, got {count}; use a coarser tolerance"));
     }
     for corners in loops {
-        if let Some(i) = corners.iter().position(|corner| !(corner.abs().max_element() <= MAX_COORDINATE)) {
+        if let Some(i) = corners.iter().position(|corner| !corner.abs().cmple(DVec2::splat(MAX_COORDINATE)).all()) {
             return error(format!("[{i}] is {}, expected finite numbers", corners[i]));
         }
     }
