@@ -92,7 +92,17 @@ impl Surface {
         level: f32,
     ) -> PyResult<Self> {
         let (solid, grid) = (shape.solid(py)?, grid(lower, upper, voxels)?);
-        Self::new(py, run_owned(py, move |progress| level_surface(&solid, &grid, level, progress))?)
+        Self::new(
+            py,
+            run_owned(py, move |progress| {
+                let mut surface = level_surface(&solid, &grid, level, progress)?;
+                // The box of the solid bounds the level zero and all levels below it.
+                if let (true, Ok(bounds)) = (level <= 0.0, solid.bounds()) {
+                    surface.keep_within(bounds);
+                }
+                Ok(surface)
+            })?,
+        )
     }
 
     /// Uses the tangent planes of the level set of a shape, and joins those around all vertices.
@@ -209,9 +219,9 @@ impl Surface {
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<i64>>, usize)> {
         let state = self.0.lock().unwrap_or_else(PoisonError::into_inner).take().ok_or_else(mesh_was_made);
         let state = state.map_err(Failure::from)?;
-        let (vertices, faces, clamped) = run_owned(py, move |_| {
+        let (vertices, faces, clamped) = run_owned(py, move |progress| {
             let State { surface, crossings, extra, .. } = state;
-            let mesh = surface.into_mesh(crossings, extra, MeshOptions { sharp, capped });
+            let mesh = surface.into_mesh(crossings, extra, MeshOptions { sharp, capped }, progress)?;
             // The constructor of meshes takes int64.
             let faces: Vec<[i64; 3]> = mesh.faces.into_par_iter().map(|face| face.map(i64::from)).collect();
             Ok((mesh.vertices, faces, mesh.clamped))

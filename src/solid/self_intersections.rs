@@ -1,17 +1,16 @@
 //! Pairs of faces that intersect.
 //!
-//! Two triangles cross where an edge of one passes through the inside of the other, decided by exact orientations of
-//! float64 positions (crate `robust`). Faces with a common vertex are excluded, since they touch there by construction.
+//! Two triangles cross where an edge of one passes through the inside of the other ([`triangles_cross`]). Faces with a common vertex are excluded, since they touch there by construction.
 //! Faces that only touch, and overlapping faces in one plane, do not count.
 
 use crate::bvh::BOX_ROUNDING;
 use crate::bvh::boxes::round_down;
 use crate::error::Error;
+use crate::geometry::triangles_cross;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use glam::DVec3;
 use rayon::prelude::*;
-use robust::{Coord3D, orient3d};
 
 /// Number of faces between two checks of the progress.
 const CHUNK: usize = 1 << 12;
@@ -52,7 +51,7 @@ fn crossings_of(mesh: &Mesh, face: u32) -> u64 {
                 if lower.cmple(own_upper).all()
                     && own_lower.cmple(upper).all()
                     && !welded(other).iter().any(|vertex| own.contains(vertex))
-                    && cross(corners, others)
+                    && triangles_cross(corners, others)
                 {
                     count += 1;
                 }
@@ -64,36 +63,6 @@ fn crossings_of(mesh: &Mesh, face: u32) -> u64 {
 
 fn box_of([a, b, c]: [DVec3; 3]) -> [DVec3; 2] {
     [a.min(b).min(c), a.max(b).max(c)]
-}
-
-/// Whether an edge of either triangle passes through the inside of the other.
-fn cross(a: [DVec3; 3], b: [DVec3; 3]) -> bool {
-    // Two triangles do not cross if one of them lies on one side of the plane of the other.
-    let has_both = |heights: [f64; 3]| heights.iter().any(|&h| h > 0.0) && heights.iter().any(|&h| h < 0.0);
-    let heights_of_b = b.map(|p| volume(a[0], a[1], a[2], p));
-    if !has_both(heights_of_b) {
-        return false;
-    }
-    let heights_of_a = a.map(|p| volume(b[0], b[1], b[2], p));
-    has_both(heights_of_a) && (pass_through(b, heights_of_b, a) || pass_through(a, heights_of_a, b))
-}
-
-/// Whether an edge of `t` passes through the inside of a triangle; `heights` are the sides of the corners of `t`.
-fn pass_through(t: [DVec3; 3], heights: [f64; 3], [a, b, c]: [DVec3; 3]) -> bool {
-    [(0, 1), (1, 2), (2, 0)].into_iter().any(|(i, j)| {
-        if !((heights[i] > 0.0 && heights[j] < 0.0) || (heights[i] < 0.0 && heights[j] > 0.0)) {
-            return false;
-        }
-        let (p, q) = (t[i], t[j]);
-        let sides = [volume(p, q, a, b), volume(p, q, b, c), volume(p, q, c, a)];
-        sides.iter().all(|&side| side > 0.0) || sides.iter().all(|&side| side < 0.0)
-    })
-}
-
-/// Six times the signed volume of a tetrahedron; the sign is exact.
-fn volume(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
-    let at = |p: DVec3| Coord3D { x: p.x, y: p.y, z: p.z };
-    orient3d(at(a), at(b), at(c), at(d))
 }
 
 #[cfg(test)]

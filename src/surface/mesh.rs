@@ -1,15 +1,19 @@
 //! Vertices and faces of the dual mesh.
 
 use super::cells::{SurfaceCell, edges_from, patches_of};
+use super::division::{Corner, Division};
 use super::links::{PatchLinks, edges_of};
 use super::patches::edge_corners;
 use super::probes::{ExtraPlanes, NearInstances, PatchRegion, Place, SHARP_COSINE};
 use super::qef::{Planes, is_within};
 use super::quad::Quad;
 use super::{Crossing, LevelSurface, MARGIN, MeshOptions};
+use crate::error::Error;
+use crate::progress::Progress;
 use crate::volume::{trilinear, trilinear_gradient};
 use glam::DVec3;
 use rayon::prelude::*;
+use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Number of steps of Newton's method onto the trilinear surface. Each squares the error, which is below a voxel at the
@@ -54,6 +58,13 @@ pub(super) struct Vertices {
     pub is_clamped: Vec<bool>,
 }
 
+impl Vertices {
+    /// The number of clamped vertices.
+    fn clamped(&self) -> usize {
+        self.is_clamped.iter().filter(|&&is_clamped| is_clamped).count()
+    }
+}
+
 /// A vertex that may move to `place`, world units.
 #[derive(Debug, Clone, Copy)]
 struct Loose<'a> {
@@ -72,20 +83,63 @@ impl LevelSurface {
     /// planes that probes have found.
     ///
     /// Everything that the faces do not need is freed before they are made.
-    pub fn into_mesh(self, crossings: Vec<Crossing>, extra: ExtraPlanes, options: MeshOptions) -> SurfaceMesh {
-        let (vertices, quads) = self.settled(&crossings, &extra, options);
+    pub fn into_mesh(
+        self,
+        crossings: Vec<Crossing>,
+        extra: ExtraPlanes,
+        options: MeshOptions,
+        progress: &Progress,
+    ) -> Result<SurfaceMesh, Error> {
+        let (mut vertices, quads) = self.settled(&crossings, &extra, options);
+        let division = self.untangle(&mut vertices.places, &quads, &crossings, &extra, options.sharp, progress)?;
         let is_open = if options.capped { Vec::new() } else { on_box(&crossings) };
+        if !division.is_empty() {
+            return Ok(self.divided_mesh(vertices, &quads, &crossings, &division, &is_open));
+        }
         let links = self.links;
         drop((self.cells, crossings, extra));
-        SurfaceMesh::new(vertices, &quads, &links, &is_open)
+        Ok(SurfaceMesh::new(vertices, &quads, &links, &is_open))
+    }
+
+    /// The mesh of all quadrilaterals, some of them divided.
+    fn divided_mesh(
+        &self,
+        vertices: Vertices,
+        quads: &[Quad],
+        crossings: &[Crossing],
+        division: &Division,
+        is_open: &[bool],
+    ) -> SurfaceMesh {
+        let clamped = vertices.clamped();
+        let mut places = vertices.places;
+        let mut added: HashMap<Corner, u32> = HashMap::new();
+        let mut faces = Vec::with_capacity(2 * quads.len());
+        for (edge, quad) in (0..).zip(quads) {
+            if is_open.get(edge as usize) == Some(&true) {
+                continue;
+            }
+            division.for_triangles(edge, corners(&self.links, edge, quad), quad, |triangle| {
+                faces.push(triangle.map(|corner| match corner {
+                    Corner::Patch(id) => id,
+                    corner => *added.entry(corner).or_insert_with(|| {
+                        places.push(self.place(corner, division, &places, crossings));
+                        places.len() as u32 - 1
+                    }),
+                }));
+            });
+        }
+        let mesh = SurfaceMesh { vertices: places, faces, clamped };
+        if is_open.is_empty() { mesh } else { mesh.without_unused_vertices() }
     }
 
     /// As [`Self::into_mesh`], but keeps the surface.
     #[cfg(test)]
     pub(super) fn mesh(&self, crossings: &[Crossing], extra: &ExtraPlanes, options: MeshOptions) -> SurfaceMesh {
-        let (vertices, quads) = self.settled(crossings, extra, options);
+        let (mut vertices, quads) = self.settled(crossings, extra, options);
+        let progress = Progress::new();
+        let division = self.untangle(&mut vertices.places, &quads, crossings, extra, options.sharp, &progress).unwrap();
         let is_open = if options.capped { Vec::new() } else { on_box(crossings) };
-        SurfaceMesh::new(vertices, &quads, &self.links, &is_open)
+        self.divided_mesh(vertices, &quads, crossings, &division, &is_open)
     }
 
     /// The vertices of all patches and the quadrilaterals around all crossed edges.
@@ -174,7 +228,7 @@ impl LevelSurface {
                 self.planes(cell, *id, crossings, &own).minimum(lower, upper).point
             };
             if !own.is_empty() && (after - before).abs().cmple(self.spacing * FARTHEST).all() {
-                *place = (corner + after).clamp(self.lower, self.upper);
+                *place = self.in_box(corner + after);
             }
         }
     }
@@ -209,7 +263,7 @@ impl LevelSurface {
             .map(|(cell, id)| {
                 let [lower, upper] = self.region_beyond(cell);
                 let best = self.planes(cell, id, crossings, extra.of(id)).minimum(lower, upper).point;
-                Loose { cell, id, place: (self.world(cell.index, DVec3::ZERO) + best).clamp(self.lower, self.upper) }
+                Loose { cell, id, place: self.in_box(self.world(cell.index, DVec3::ZERO) + best) }
             })
             .collect();
         let mut corrected = best.clone();
@@ -302,7 +356,7 @@ impl LevelSurface {
                 }
                 let [lower, upper] = self.region(cell, 0);
                 let place = self.planes(cell, id, crossings, extra.of(id)).minimum(lower, upper).point;
-                vertices[id as usize] = (corner + place).clamp(self.lower, self.upper);
+                vertices[id as usize] = self.in_box(corner + place);
                 is_clamped[id as usize] = true;
                 moved.push(id);
             }
@@ -387,7 +441,7 @@ impl LevelSurface {
             (self.on_trilinear(cell, planes.mean().clamp(lower, upper), lower, upper), false)
         };
         // The sum rounds; no vertex lies outside the box.
-        ((corner + vertex).clamp(self.lower, self.upper), clamped)
+        (self.in_box(corner + vertex), clamped)
     }
 
     /// The tangent planes of a patch and `extra` ones, relative to the lower corner of its cell.
@@ -484,7 +538,7 @@ impl LevelSurface {
 }
 
 /// The vertices of the quadrilateral around a crossed edge, counter-clockwise seen from outside.
-fn corners(links: &PatchLinks, edge: u32, quad: &Quad) -> [u32; 4] {
+pub(super) fn corners(links: &PatchLinks, edge: u32, quad: &Quad) -> [u32; 4] {
     let mut corners = links.patches_around(edge);
     if !quad.far_is_outside {
         corners.reverse();
@@ -503,7 +557,7 @@ impl SurfaceMesh {
         let mut faces = vec![[[0; 3]; 2]; quads.len()];
         let numbered = faces.par_iter_mut().zip(quads.par_iter().enumerate());
         numbered.for_each(|(faces, (edge, quad))| *faces = quad.triangles(corners(links, edge as u32, quad)));
-        let clamped = vertices.is_clamped.iter().filter(|&&is_clamped| is_clamped).count();
+        let clamped = vertices.clamped();
         let capped = Self { vertices: vertices.places, faces: Vec::new(), clamped };
         if is_open.is_empty() {
             return Self { faces: faces.into_flattened(), ..capped };

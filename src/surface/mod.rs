@@ -30,6 +30,7 @@
 
 mod blocks;
 pub(crate) mod cells;
+mod division;
 mod hermite;
 mod links;
 mod mesh;
@@ -38,6 +39,7 @@ pub(crate) mod probes;
 pub(crate) mod qef;
 mod quad;
 mod separate;
+mod untangle;
 
 pub use blocks::SurfaceBlocks;
 pub use hermite::{planes_around_of_mesh, planes_around_of_offset, planes_of_mesh};
@@ -72,6 +74,8 @@ pub struct LevelSurface {
     lower: DVec3,
     upper: DVec3,
     spacing: DVec3,
+    /// Lower and upper corner of the box of the vertices: the box of the grid, or the part of it around the solid.
+    within: [DVec3; 2],
     cells: SurfaceCells,
     links: PatchLinks,
 }
@@ -137,7 +141,19 @@ impl LevelSurface {
 
     fn new(grid: &Grid, cells: SurfaceCells) -> Self {
         let links = PatchLinks::new(&cells);
-        Self { lower: grid.lower, upper: grid.upper, spacing: grid.spacing(), cells, links }
+        let within = [grid.lower, grid.upper];
+        Self { lower: grid.lower, upper: grid.upper, spacing: grid.spacing(), within, cells, links }
+    }
+
+    /// Keeps all vertices in a box around the solid, world units.
+    pub fn keep_within(&mut self, [lower, upper]: [DVec3; 2]) {
+        let [low, high] = self.within;
+        self.within = [low.max(lower).min(high), high.min(upper).max(low)];
+    }
+
+    /// The nearest point of the box of the vertices.
+    fn in_box(&self, place: DVec3) -> DVec3 {
+        place.max(self.within[0]).min(self.within[1])
     }
 
     /// Number of crossed edges.

@@ -43,7 +43,7 @@ impl LevelSurface {
                 let place = vertices[id as usize] - corner;
                 let nearest = place.clamp(lower, upper);
                 let step = step * f64::from(count);
-                let at = |place: DVec3| (corner + place).clamp(self.lower, self.upper);
+                let at = |place: DVec3| self.in_box(corner + place);
                 if (place - nearest).abs().cmple(step).all() {
                     // Towards the farther corner of the cell, so that the vertex stays in it.
                     let towards = DVec3::select(nearest.cmpgt(0.5 * (lower + upper)), DVec3::NEG_ONE, DVec3::ONE);
