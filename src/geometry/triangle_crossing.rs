@@ -9,11 +9,15 @@ use robust::{Coord3D, orient3d};
 pub fn triangles_cross(a: [DVec3; 3], b: [DVec3; 3]) -> bool {
     // Two triangles do not cross if one of them lies on one side of the plane of the other.
     let has_both = |heights: [f64; 3]| heights.iter().any(|&h| h > 0.0) && heights.iter().any(|&h| h < 0.0);
-    let heights_of_b = b.map(|p| volume(a[0], a[1], a[2], p));
+    // A common vertex lies in both planes; its exact height takes long.
+    let height = |[a, b, c]: [DVec3; 3], p: DVec3| {
+        if p == a || p == b || p == c { 0.0 } else { volume(a, b, c, p) }
+    };
+    let heights_of_b = b.map(|p| height(a, p));
     if !has_both(heights_of_b) {
         return false;
     }
-    let heights_of_a = a.map(|p| volume(b[0], b[1], b[2], p));
+    let heights_of_a = a.map(|p| height(b, p));
     has_both(heights_of_a) && (pass_through(b, heights_of_b, a) || pass_through(a, heights_of_a, b))
 }
 

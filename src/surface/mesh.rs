@@ -90,8 +90,8 @@ impl LevelSurface {
         options: MeshOptions,
         progress: &Progress,
     ) -> Result<SurfaceMesh, Error> {
-        let (mut vertices, quads) = self.settled(&crossings, &extra, options);
-        let division = self.untangle(&mut vertices.places, &quads, &crossings, &extra, options.sharp, progress)?;
+        let (mut vertices, mut quads) = self.settled(&crossings, &extra, options);
+        let division = self.untangle(&mut vertices.places, &mut quads, &crossings, &extra, options.sharp, progress)?;
         let is_open = if options.capped { Vec::new() } else { on_box(&crossings) };
         if !division.is_empty() {
             return Ok(self.divided_mesh(vertices, &quads, &crossings, &division, &is_open));
@@ -135,9 +135,10 @@ impl LevelSurface {
     /// As [`Self::into_mesh`], but keeps the surface.
     #[cfg(test)]
     pub(super) fn mesh(&self, crossings: &[Crossing], extra: &ExtraPlanes, options: MeshOptions) -> SurfaceMesh {
-        let (mut vertices, quads) = self.settled(crossings, extra, options);
+        let (mut vertices, mut quads) = self.settled(crossings, extra, options);
         let progress = Progress::new();
-        let division = self.untangle(&mut vertices.places, &quads, crossings, extra, options.sharp, &progress).unwrap();
+        let division =
+            self.untangle(&mut vertices.places, &mut quads, crossings, extra, options.sharp, &progress).unwrap();
         let is_open = if options.capped { Vec::new() } else { on_box(crossings) };
         self.divided_mesh(vertices, &quads, crossings, &division, &is_open)
     }
@@ -403,7 +404,7 @@ impl LevelSurface {
     }
 
     /// Computes the quadrilaterals at the vertices of some patches again. Returns their crossed edges.
-    fn update_quads(&self, patches: &[u32], vertices: &[DVec3], quads: &mut [Quad]) -> Vec<u32> {
+    pub(super) fn update_quads(&self, patches: &[u32], vertices: &[DVec3], quads: &mut [Quad]) -> Vec<u32> {
         let edges: Vec<u32> = patches.iter().flat_map(|&patch| self.links.edges_of(patch)).copied().collect();
         for &edge in &edges {
             let (cell, axis) = self.cells.of_edge(edge);

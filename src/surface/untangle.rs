@@ -1,10 +1,16 @@
 //! The search for faces that pass through each other, and the division of their quadrilaterals until none do.
 //!
-//! Quadrilaterals that cross have overlapping boxes. Each is entered into the cells that its box overlaps, and pairs of
-//! one cell are compared by exact orientations ([`triangles_cross`]). Where a pair crosses, the patches at its corners
-//! are divided ([`super::division`]). Division changes the quadrilaterals around, so these are compared again. Each
-//! round divides at least one patch, and divided patches do not cross, so the search ends.
+//! A quadrilateral whose corners lie in the four cells around its edge stays in these cells. If two such quadrilaterals
+//! cross in a cell with one patch, both have this patch as a corner. The quadrilaterals at a patch do not cross if, seen
+//! along the mean of their normals, each lies in its own wedge around the vertex of the patch, which is tested first.
+//! All other pairs are compared by exact orientations ([`triangles_cross`]): those at the patches of one cell, and those
+//! of a quadrilateral with a corner outside its cell and the quadrilaterals in the cells that its box overlaps.
+//!
+//! Where a pair crosses, the patches at its corners are divided ([`super::division`]). Division changes the
+//! quadrilaterals around, so these are compared again. Each round divides at least one patch, and divided patches do
+//! not cross, so the search ends.
 
+use super::cells::SurfaceCell;
 use super::division::{Corner, Division};
 use super::mesh::corners;
 use super::probes::ExtraPlanes;
@@ -13,29 +19,24 @@ use super::{Crossing, LevelSurface};
 use crate::error::Error;
 use crate::geometry::triangles_cross;
 use crate::progress::Progress;
-use glam::{DVec3, IVec3};
+use glam::{DVec2, DVec3, IVec3};
 use rayon::prelude::*;
 
 /// Number of cells between two checks of the progress.
-const CHUNK: usize = 1 << 12;
+const CHUNK: usize = 1 << 10;
 
 /// Most triangles of a quadrilateral: a fan around its edge over four vertices and four points on faces.
 const MOST_TRIANGLES: usize = 8;
 
+/// Smallest cross product of the sides of a wedge, voxels squared, far above the rounding of positions.
+const LEAST_WEDGE: f64 = 1e-6;
+
 /// The triangles of a quadrilateral: vertices and positions.
 struct Triangles {
+    edge: u32,
     corners: [[Corner; 3]; MOST_TRIANGLES],
     places: [[DVec3; 3]; MOST_TRIANGLES],
     count: usize,
-}
-
-/// The box of a quadrilateral.
-#[derive(Debug, Clone, Copy, Default)]
-struct Extent {
-    lower: DVec3,
-    upper: DVec3,
-    /// First and last cell.
-    cells: [IVec3; 2],
 }
 
 impl LevelSurface {
@@ -43,7 +44,7 @@ impl LevelSurface {
     pub(super) fn untangle(
         &self,
         vertices: &mut [DVec3],
-        quads: &[Quad],
+        quads: &mut [Quad],
         crossings: &[Crossing],
         extra: &ExtraPlanes,
         is_sharp: bool,
@@ -52,16 +53,18 @@ impl LevelSurface {
         let mut division = Division::default();
         let mut is_changed = vec![true; quads.len()];
         loop {
-            let tangle = Tangle { surface: self, vertices, quads, crossings, division: &division };
-            let mut patches = tangle.crossing_patches(&is_changed, progress)?;
+            let tangle =
+                Tangle { surface: self, vertices, quads, crossings, division: &division, is_changed: &is_changed };
+            let mut patches = tangle.crossing_patches(progress)?;
             patches.retain(|&patch| !division.contains(patch));
             if patches.is_empty() {
                 return Ok(division);
             }
             let added = self.divide(&patches, &mut division, vertices, crossings, extra, is_sharp);
             is_changed.fill(false);
-            let edges = added.iter().flat_map(|&patch| self.links.edges_of(patch));
-            edges.for_each(|&edge| is_changed[edge as usize] = true);
+            for edge in self.update_quads(&added, vertices, quads) {
+                is_changed[edge as usize] = true;
+            }
         }
     }
 }
@@ -73,115 +76,200 @@ struct Tangle<'a> {
     quads: &'a [Quad],
     crossings: &'a [Crossing],
     division: &'a Division,
+    /// Quadrilaterals that were not compared yet.
+    is_changed: &'a [bool],
 }
 
 impl Tangle<'_> {
-    /// The patches at the corners of triangles that cross another one, sorted. One of the two belongs to a changed
-    /// quadrilateral.
-    fn crossing_patches(&self, is_changed: &[bool], progress: &Progress) -> Result<Vec<u32>, Error> {
-        let extents: Vec<Extent> = (0..self.quads.len() as u32).into_par_iter().map(|edge| self.extent(edge)).collect();
-        let [lower, upper] = extents.iter().fold([IVec3::MAX, IVec3::MIN], |[lower, upper], extent| {
-            [lower.min(extent.cells[0]), upper.max(extent.cells[1])]
-        });
-        let size = (upper - lower + 1).as_u64vec3();
-        let key = |cell: IVec3| {
-            let at = (cell - lower).as_u64vec3();
-            at.x + size.x * (at.y + size.y * at.z)
-        };
-        let entries = extents.par_iter().enumerate().flat_map_iter(|(edge, extent)| {
-            let [first, last] = extent.cells;
-            let rows = (first.z..=last.z).flat_map(move |z| (first.y..=last.y).map(move |y| (y, z)));
-            let cells = rows.flat_map(move |(y, z)| (first.x..=last.x).map(move |x| IVec3::new(x, y, z)));
-            cells.map(move |cell| (key(cell), edge as u32))
-        });
-        let mut entries: Vec<(u64, u32)> = entries.collect();
-        entries.par_sort_unstable();
-        let chunks: Vec<&[(u64, u32)]> = entries.chunk_by(|a, b| a.0 == b.0).collect();
-        let found = chunks.par_chunks(CHUNK).map(|chunks| {
-            progress.check()?;
-            let mut patches = Vec::new();
-            for chunk in chunks {
-                for (i, &(cell, first)) in chunk.iter().enumerate() {
-                    for &(_, second) in &chunk[..i] {
-                        let [a, b] = [first, second].map(|edge| &extents[edge as usize]);
-                        let (lower, upper) = (a.lower.max(b.lower), a.upper.min(b.upper));
-                        // A pair belongs to the first of its common cells.
-                        if lower.cmple(upper).all()
-                            && (is_changed[first as usize] || is_changed[second as usize])
-                            && key(a.cells[0].max(b.cells[0])) == cell
-                        {
-                            self.compare(first, second, [lower, upper], &mut patches);
-                        }
-                    }
+    /// The patches at the corners of triangles that cross another one, sorted.
+    fn crossing_patches(&self, progress: &Progress) -> Result<Vec<u32>, Error> {
+        let cells = self.surface.cells.cells();
+        let in_cells = cells.par_chunks(CHUNK).map(|cells| {
+            let (mut found, mut edges, mut triangles) = (Vec::new(), Vec::new(), Vec::new());
+            for cell in cells {
+                let count = cell.patches().count() as u32;
+                let is_known = count == 1 && self.is_star(cell.first_patch);
+                if !is_known {
+                    edges.clear();
+                    let patches = cell.first_patch..cell.first_patch + count;
+                    edges.extend(patches.flat_map(|patch| self.surface.links.edges_of(patch)));
+                    self.compare_all(&edges, &mut triangles, &mut found);
                 }
             }
-            Ok(patches)
+            progress.check()?;
+            Ok(found)
         });
-        let mut found = found.collect::<Result<Vec<_>, Error>>()?.concat();
+        let outside: Vec<u32> =
+            (0..self.quads.len() as u32).filter(|&edge| !self.quads[edge as usize].is_around).collect();
+        let beyond = outside.par_chunks(CHUNK).map(|edges| {
+            let mut found = Vec::new();
+            edges.iter().for_each(|&edge| self.compare_around(edge, &mut found));
+            progress.check()?;
+            Ok(found)
+        });
+        let mut found = in_cells.chain(beyond).collect::<Result<Vec<_>, Error>>()?.concat();
+        self.compare_outside(&outside, &mut found);
         found.sort_unstable();
         found.dedup();
         Ok(found)
     }
 
-    fn extent(&self, edge: u32) -> Extent {
-        let surface = self.surface;
-        let (mut lower, mut upper) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        let around = surface.links.patches_around(edge);
-        let mut add = |place: DVec3| (lower, upper) = (lower.min(place), upper.max(place));
-        if around.iter().any(|&patch| self.division.contains(patch)) {
-            self.division.for_triangles(edge, around, &self.quads[edge as usize], |triangle| {
-                triangle.iter().for_each(|&corner| add(self.place(corner)));
-            });
-        } else {
-            around.iter().for_each(|&patch| add(self.vertices[patch as usize]));
+    /// Whether the quadrilaterals at the only patch of a cell lie in disjoint wedges around its vertex, seen along the
+    /// mean of their normals, or have been compared, or stay in their cells by division.
+    fn is_star(&self, patch: u32) -> bool {
+        let links = &self.surface.links;
+        let edges = links.edges_of(patch);
+        if self.division.contains(patch) || !edges.iter().any(|&edge| self.is_changed[edge as usize]) {
+            return true;
         }
-        let cell = |place: DVec3| ((place - surface.lower) / surface.spacing - 0.5).floor().as_ivec3();
-        Extent { lower, upper, cells: [cell(lower), cell(upper)] }
+        let center = self.vertices[patch as usize];
+        // The other corners of each quadrilateral, counter-clockwise from the patch.
+        let mut others = [[DVec3::ZERO; 3]; 12];
+        let mut normal = DVec3::ZERO;
+        for (&edge, others) in edges.iter().zip(&mut others) {
+            let around = corners(links, edge, &self.quads[edge as usize]);
+            if around.iter().any(|&patch| self.division.contains(patch)) {
+                return false;
+            }
+            let own = around.iter().position(|&other| other == patch).unwrap_or(0);
+            *others = [1, 2, 3]
+                .map(|step| (self.vertices[around[(own + step) % 4] as usize] - center) / self.surface.spacing);
+            normal += others[0].cross(others[2]);
+        }
+        let Some(normal) = normal.try_normalize() else { return false };
+        let (x, y) = normal.any_orthonormal_pair();
+        let mut turns = 0;
+        for &[next, opposite, previous] in &others[..edges.len()] {
+            let [next, opposite, previous] = [next, opposite, previous].map(|p| DVec2::new(p.dot(x), p.dot(y)));
+            let least = next.perp_dot(opposite).min(opposite.perp_dot(previous)).min(next.perp_dot(previous));
+            if least <= LEAST_WEDGE {
+                return false;
+            }
+            // A wedge below half a turn that begins below the x axis and ends above it contains the axis.
+            turns += u32::from(next.y < 0.0 && previous.y >= 0.0);
+        }
+        turns == 1
     }
 
     fn place(&self, corner: Corner) -> DVec3 {
         self.surface.place(corner, self.division, self.vertices, self.crossings)
     }
 
-    /// The triangles of a quadrilateral that overlap a box.
-    fn triangles(&self, edge: u32, [lower, upper]: [DVec3; 2]) -> Triangles {
+    /// The box of a quadrilateral.
+    fn extent(&self, edge: u32) -> [DVec3; 2] {
+        let (mut lower, mut upper) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        self.division.for_triangles(
+            edge,
+            self.surface.links.patches_around(edge),
+            &self.quads[edge as usize],
+            |corners| {
+                for place in corners.map(|corner| self.place(corner)) {
+                    (lower, upper) = (lower.min(place), upper.max(place));
+                }
+            },
+        );
+        [lower, upper]
+    }
+
+    /// The triangles of a quadrilateral.
+    fn triangles(&self, edge: u32) -> Triangles {
         let quad = &self.quads[edge as usize];
-        let mut all = Triangles {
-            corners: [[Corner::Edge(edge); 3]; MOST_TRIANGLES],
-            places: [[DVec3::ZERO; 3]; MOST_TRIANGLES],
-            count: 0,
-        };
+        let (corner, place) = (Corner::Edge(edge), DVec3::ZERO);
+        let (corners_of, places) = ([[corner; 3]; MOST_TRIANGLES], [[place; 3]; MOST_TRIANGLES]);
+        let mut all = Triangles { edge, corners: corners_of, places, count: 0 };
         self.division.for_triangles(edge, corners(&self.surface.links, edge, quad), quad, |triangle| {
-            let places = triangle.map(|corner| self.place(corner));
-            let [a, b, c] = places;
-            if a.min(b).min(c).cmple(upper).all() && a.max(b).max(c).cmpge(lower).all() {
-                (all.corners[all.count], all.places[all.count]) = (triangle, places);
-                all.count += 1;
-            }
+            all.corners[all.count] = triangle;
+            all.places[all.count] = triangle.map(|corner| self.place(corner));
+            all.count += 1;
         });
         all
     }
 
-    /// Appends the patches at the corners of triangles of two quadrilaterals that cross. `common` is the intersection
-    /// of their boxes.
-    fn compare(&self, first: u32, second: u32, common: [DVec3; 2], patches: &mut Vec<u32>) {
-        let (first, second) = (self.triangles(first, common), self.triangles(second, common));
+    /// Compares all pairs of some quadrilaterals, of which one has changed. `triangles` is a buffer.
+    fn compare_all(&self, edges: &[u32], triangles: &mut Vec<Triangles>, found: &mut Vec<u32>) {
+        if !edges.iter().any(|&edge| self.is_changed[edge as usize]) {
+            return;
+        }
+        triangles.clear();
+        triangles.extend(edges.iter().map(|&edge| self.triangles(edge)));
+        for (i, first) in triangles.iter().enumerate() {
+            triangles[..i].iter().for_each(|second| self.compare(first, second, found));
+        }
+    }
+
+    /// Compares a quadrilateral with the quadrilaterals at the patches of the cells that its box overlaps.
+    fn compare_around(&self, edge: u32, found: &mut Vec<u32>) {
+        let surface = self.surface;
+        let own = self.triangles(edge);
+        let [lower, upper] = self.extent(edge).map(|place| surface.cell_at(place));
+        for z in lower.z..=upper.z {
+            for y in lower.y..=upper.y {
+                for cell in (lower.x..=upper.x).filter_map(|x| surface.cells.find([x, y, z])) {
+                    for other in edges_at(surface, cell).filter(|&other| other != edge) {
+                        if self.is_changed[edge as usize] || self.is_changed[other as usize] {
+                            self.compare(&own, &self.triangles(other), found);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Compares quadrilaterals with corners outside their cells with each other.
+    fn compare_outside(&self, edges: &[u32], found: &mut Vec<u32>) {
+        let mut entries: Vec<([i32; 3], u32)> = Vec::new();
+        for &edge in edges {
+            let [lower, upper] = self.extent(edge).map(|place| self.surface.cell_at(place));
+            for z in lower.z..=upper.z {
+                for y in lower.y..=upper.y {
+                    entries.extend((lower.x..=upper.x).map(|x| ([x, y, z], edge)));
+                }
+            }
+        }
+        entries.sort_unstable();
+        let (mut group, mut triangles) = (Vec::new(), Vec::new());
+        for entries in entries.chunk_by(|a, b| a.0 == b.0).filter(|entries| entries.len() > 1) {
+            group.clear();
+            group.extend(entries.iter().map(|entry| entry.1));
+            self.compare_all(&group, &mut triangles, found);
+        }
+    }
+
+    /// Appends the patches at the corners of triangles of two quadrilaterals that cross.
+    fn compare(&self, first: &Triangles, second: &Triangles, found: &mut Vec<u32>) {
+        if !self.is_changed[first.edge as usize] && !self.is_changed[second.edge as usize] {
+            return;
+        }
         for i in 0..first.count {
             for j in 0..second.count {
-                let (own, others) = (first.corners[i], second.corners[j]);
+                let (own, others) = (&first.corners[i], &second.corners[j]);
+                let [[a, b, c], [d, e, f]] = [&first.places[i], &second.places[j]];
+                let overlaps = a.min(*b).min(*c).cmple(d.max(*e).max(*f)).all()
+                    && d.min(*e).min(*f).cmple(a.max(*b).max(*c)).all();
                 // Faces on both sides of an edge touch there.
-                let shared = own.iter().filter(|corner| others.contains(corner)).count();
-                let [(a, b), (c, d)] =
-                    [first.places[i], second.places[j]].map(|[a, b, c]| (a.min(b).min(c), a.max(b).max(c)));
-                let overlaps = a.cmple(d).all() && c.cmple(b).all();
-                if shared < 2 && overlaps && triangles_cross(first.places[i], second.places[j]) {
-                    let corners = own.into_iter().chain(others);
-                    patches.extend(corners.filter_map(|corner| match corner {
-                        Corner::Patch(patch) => Some(patch),
+                if overlaps
+                    && own.iter().filter(|corner| others.contains(corner)).count() < 2
+                    && triangles_cross(first.places[i], second.places[j])
+                {
+                    found.extend(own.iter().chain(others).filter_map(|corner| match corner {
+                        Corner::Patch(patch) => Some(*patch),
                         Corner::Edge(_) | Corner::Face(..) => None,
                     }));
                 }
             }
         }
+    }
+}
+
+/// The crossed edges at the patches of a cell.
+fn edges_at<'a>(surface: &'a LevelSurface, cell: &SurfaceCell) -> impl Iterator<Item = u32> + use<'a> {
+    let patches = cell.first_patch..cell.first_patch + cell.patches().count() as u32;
+    patches.flat_map(|patch| surface.links.edges_of(patch)).copied()
+}
+
+impl LevelSurface {
+    /// The cell of a position.
+    fn cell_at(&self, place: DVec3) -> IVec3 {
+        ((place - self.lower) / self.spacing - 0.5).floor().as_ivec3()
     }
 }
