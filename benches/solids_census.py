@@ -1,9 +1,16 @@
-"""Count the meshes that are not closed two-manifolds: noise, random shapes, models, damaged files and soups.
+"""Count the meshes that are not closed two-manifolds or cross themselves, and check printable parts and offsets.
 
     python benches/solids_census.py --models FOLDER [--noise 1000] [--shapes 300] [--resolutions 32 64 128 200]
+    python benches/solids_census.py --noise 0 --shapes 0 --soups 0 --parts 500 [--first 0]
+    python benches/solids_census.py --noise 0 --shapes 0 --soups 0 --offsets 200 [--first 0]
 
 Every mesh must use each directed edge once each way, have one fan of faces at each vertex and no face without an area,
-be accepted by manifold3d and be watertight for trimesh. A model without an inside may end in a `MeshError`.
+be accepted by manifold3d and be watertight for trimesh. No two faces may cross, by exact orientations and, if it is
+installed, by Open3D. A model without an inside may end in a `MeshError`.
+
+Parts are lattices, Booleans, shells and random trees at 40 to 200 voxels; their volume is compared with random points.
+Offsets are compared with float64 distances from the surface of their operand, where the nearest surface point lies
+on no edge. The case `i` depends on `i` alone, so `--first` continues a run.
 """
 
 from __future__ import annotations
@@ -24,6 +31,18 @@ import fieldbake as fb
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from manifold import faults
 
+try:
+    import open3d
+except ImportError:
+    open3d = None
+
+#: Random points of a volume, and the largest relative errors of a volume with walls of 3 voxels and with thinner ones.
+POINTS = 4_000_000
+VOLUME_ERRORS = (0.005, 0.02)
+
+#: Largest error of an offset: a fraction of a voxel, or of the distance if that is larger.
+OFFSET_VOXELS, OFFSET_SHARE = 0.05, 0.01
+
 ENDINGS = (".obj", ".glb", ".stl", ".ply", ".off")
 
 
@@ -36,6 +55,16 @@ def problems(mesh):
         found.append(f"manifold3d: {status.name}")
     if not trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).is_watertight:
         found.append("trimesh: not watertight")
+    crossings = mesh._core.self_intersections()
+    if crossings:
+        found.append(f"{crossings} pairs of faces cross")
+    if open3d is not None:
+        shown = open3d.geometry.TriangleMesh(
+            open3d.utility.Vector3dVector(mesh.vertices), open3d.utility.Vector3iVector(mesh.faces)
+        )
+        crossings = len(np.asarray(shown.get_self_intersecting_triangles()))
+        if crossings:
+            found.append(f"Open3D: {crossings} pairs of faces cross")
     return found
 
 
@@ -47,20 +76,22 @@ class Census:
 
     def add(self, kind, name, make):
         """Check the mesh that `make` returns; None counts as empty."""
-        counts = self.outcomes.setdefault(kind, Counter())
         try:
             mesh = make()
         except fb.MeshError as error:
-            counts["MeshError"] += 1
-            print(f"{kind} {name}: {error}")
+            self.count(kind, name, "MeshError", str(error))
             return
         if not len(mesh.faces):
-            counts["empty"] += 1
+            self.count(kind, name, "empty")
             return
         found = problems(mesh)
-        counts["faulty" if found else "good"] += 1
-        if found:
-            print(f"{kind} {name}: {'; '.join(found)}")
+        self.count(kind, name, "faulty" if found else "good", "; ".join(found))
+
+    def count(self, kind, name, outcome, text=""):
+        """Count an outcome, and print its text."""
+        self.outcomes.setdefault(kind, Counter())[outcome] += 1
+        if text:
+            print(f"{kind} {name}: {text}", flush=True)
 
     def report(self):
         """Print the counts, and return the number of faulty meshes."""
@@ -87,6 +118,170 @@ def shape(random, depth=3):
     return getattr(pair[0], op)(pair[1], k=float(random.choice([0, 0.1])))
 
 
+SHEETS = {"gyroid": fb.gyroid, "schwarz_p": fb.schwarz_p, "diamond": fb.diamond, "iwp": fb.iwp}
+
+
+def part(seed):
+    """A printable part: its kind, a function that makes its mesh, its solid, and the voxels of its thinnest wall."""
+    random = np.random.default_rng([41, seed])
+    kind = ("lattice", "boolean", "shell", "tree")[seed % 4]
+    resolution = int(random.integers(40, 201))
+    if kind == "lattice":
+        body = [fb.sphere(1), fb.box((2, 1.4, 1)), fb.cylinder(0.8, 2), fb.torus(1, 0.45)][random.integers(4)]
+        body = body.rotate(random.normal(size=3).tolist(), random.uniform(0, 360))
+        voxel = float(np.ptp(body.bounds, axis=0).max()) * 1.1 / resolution
+        wall = float(random.choice([1.2, 1.5, 2, 3, 4]))
+        cell = voxel * wall * random.uniform(4, 9)
+        name = random.choice(list(SHEETS))
+        made = body & SHEETS[name](cell, wall * voxel)
+        return f"{kind} {name} {wall}", lambda sharp: made.to_mesh(resolution, sharp=sharp), made, wall
+    if kind == "tree":
+        made = shape(random)
+        return kind, lambda sharp: made.to_mesh(resolution, sharp=sharp), made, 0.0
+    base = shape(random, 2)
+    mesh = base.to_mesh(48)
+    if kind == "shell":
+        voxel = float(np.ptp(mesh.bounds, axis=0).max()) / resolution if len(mesh.faces) else 1.0
+        wall = float(random.choice([0.5, 1, 1.5, 3]))
+        side = random.choice(["inward", "outward", "both"])
+        return f"{kind} {wall} {side}", lambda _: fb.shell(mesh, wall * voxel, resolution, side), None, wall
+    other = shape(random, 2).to_mesh(48)
+    op = random.choice(["union", "intersection", "difference"])
+    return f"{kind} {op}", lambda _: fb.boolean(op, mesh, other, resolution=resolution), None, 0.0
+
+
+def check_part(census, seed):
+    """Check the mesh of a part with sharp edges, and every other time without."""
+    kind, make, solid, wall = part(seed)
+    sharp = seed // 4 % 2 == 0 or solid is None
+    try:
+        mesh = make(sharp)
+    except fb.Error as error:
+        census.count(kind.split()[0], f"{seed} {kind}", type(error).__name__, str(error))
+        return
+    if not len(mesh.faces):
+        census.count(kind.split()[0], f"{seed} {kind}", "empty")
+        return
+    found = problems(mesh)
+    if solid is not None and sharp:
+        expected, deviation = volume_of(solid)
+        bound = VOLUME_ERRORS[0] if wall >= 3 else VOLUME_ERRORS[1]
+        error = abs(mesh.volume - expected) / expected
+        if not error <= bound + 4 * deviation:
+            found.append(f"volume {mesh.volume:.5g}, expected {expected:.5g}: {100 * error:.2f} %")
+        beyond = max((solid.bounds[0] - mesh.bounds[0]).max(), (mesh.bounds[1] - solid.bounds[1]).max())
+        if not beyond <= 1e-9:
+            found.append(f"{beyond:.3g} outside the box of the shape")
+    census.count(kind.split()[0], f"{seed} {kind} sharp={sharp}", "faulty" if found else "good", "; ".join(found))
+
+
+def volume_of(solid):
+    """The volume of a shape by random points, and the relative standard deviation."""
+    lower, upper = solid.bounds
+    random = np.random.default_rng(1)
+    inside, total = 0, 0
+    for _ in range(4):
+        points = random.uniform(lower, upper, (POINTS // 4, 3))
+        inside += int((solid.distance(points) < 0).sum())
+        total += len(points)
+    share = max(inside, 1) / total
+    return share * float(np.prod(upper - lower)), np.sqrt((1 - share) / (share * total))
+
+
+def operand(seed):
+    """A bounded random shape of all operators, warps and sheets."""
+    random = np.random.default_rng([200, seed])
+    made = shape(random, 2)
+    kind = seed % 10
+    if kind == 0:
+        made = made.twist(per_unit_deg=float(random.uniform(-90, 90)))
+    elif kind == 1:
+        made = made.bend(per_unit_deg=float(random.uniform(-60, 60)))
+    elif kind == 2:
+        made = made.elongate(random.uniform(0, 0.6, 3))
+    elif kind == 3:
+        made = made.repeat(random.uniform(0.8, 2, 3), random.integers(1, 3, 3))
+    elif kind == 4:
+        sheet = SHEETS[random.choice(list(SHEETS))]
+        made = fb.sphere(1) & sheet(float(random.uniform(0.8, 1.4)), float(random.uniform(0.1, 0.2)))
+    elif kind == 5:
+        made = made.times(float(random.uniform(0.3, 3)))
+    elif kind == 6:
+        made = made ^ shape(random, 1)
+    elif kind == 7:
+        made = made.union(shape(random, 1), k=float(random.uniform(0.1, 0.4)))
+    elif kind == 8:
+        made = made.difference(shape(random, 1), chamfer=float(random.uniform(0.05, 0.2)))
+    return made
+
+
+def check_offset(census, seed):
+    """Compare the mesh of an offset with the distance from the surface of its operand."""
+    random = np.random.default_rng([201, seed])
+    kind = ("twist", "bend", "elongate", "repeat", "sheet", "times", "xor", "smooth", "chamfer", "sharp")[seed % 10]
+    made, distance = operand(seed), float(random.choice([-0.05, 0.04, 0.1, 0.2]))
+    try:
+        mesh = made.offset(distance).to_mesh(128)
+    except fb.ShapeError as error:
+        census.count(kind, str(seed), "refused", str(error))
+        return
+    if not len(mesh.faces):
+        census.count(kind, str(seed), "empty")
+        return
+    points = fb.sample_surface(mesh, 4000, seed=seed).points
+    voxel = float(np.ptp(made.bounds, axis=0).max()) / 128
+    found, is_smooth = distances_from(made, points, voxel)
+    bound = max(OFFSET_VOXELS * voxel, OFFSET_SHARE * abs(distance))
+    error = np.abs(found - abs(distance))[is_smooth]
+    if not len(error):
+        census.count(kind, str(seed), "only edges")
+        return
+    wrong = ~(error <= bound)
+    text = f"{100 * wrong.mean():.2f} % of {len(error)} points beyond {bound:.3g}, largest error {error.max():.3g}"
+    # The faces of an operand that end at an edge go on beyond it.
+    census.count(kind, str(seed), "faulty" if wrong.mean() > 0.001 else "good", text if wrong.any() else "")
+
+
+def distances_from(solid, points, voxel):
+    """Distances of points from the surface of a shape, and whether each nearest point lies on no edge.
+
+    The nearest point of a fine mesh is moved along the surface until the line to the point is normal to it.
+    """
+    fine = solid.to_mesh(256)
+    nearest = fb.closest_point(fine, points).points
+    for _ in range(8):
+        nearest = on_surface(solid, nearest)
+        normals = unit(solid.gradient(nearest).astype(np.float64))
+        away = points - nearest
+        along = away - np.einsum("ij,ij->i", away, normals)[:, None] * normals
+        # A share of the way, since curvature may carry a full step too far.
+        nearest = nearest + 0.5 * along
+    nearest = on_surface(solid, nearest)
+    is_smooth = np.ones(len(points), dtype=bool)
+    normals = unit(solid.gradient(nearest).astype(np.float64))
+    for step in np.concatenate([np.eye(3), -np.eye(3)]) * 1.5 * voxel:
+        other = unit(solid.gradient(on_surface(solid, nearest + step)).astype(np.float64))
+        is_smooth &= np.einsum("ij,ij->i", normals, other) > np.cos(np.radians(25))
+    away = np.linalg.norm(points - nearest, axis=1)
+    # The foot of the normal of a smooth point is the nearest point.
+    is_normal = np.abs(np.einsum("ij,ij->i", unit(points - nearest), normals)) > 0.999
+    return away, is_smooth & is_normal
+
+
+def on_surface(solid, points):
+    """Points moved to the surface by Newton's method."""
+    for _ in range(6):
+        slopes = solid.gradient(points).astype(np.float64)
+        square = np.maximum(np.einsum("ij,ij->i", slopes, slopes), 1e-6)
+        points = points - slopes * (solid.distance(points, dtype="float64") / square)[:, None]
+    return points
+
+
+def unit(vectors):
+    """Vectors of length 1."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
+
+
 def soup(seed):
     """Sixty triangles of any place and winding."""
     random = np.random.default_rng(seed)
@@ -99,6 +294,10 @@ def main() -> None:
     parser.add_argument("--models", type=Path)
     parser.add_argument("--noise", type=int, default=1000)
     parser.add_argument("--shapes", type=int, default=300)
+    parser.add_argument("--soups", type=int, default=5)
+    parser.add_argument("--parts", type=int, default=0)
+    parser.add_argument("--offsets", type=int, default=0)
+    parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--resolutions", type=int, nargs="+", default=[32, 64, 128, 200])
     options = parser.parse_args()
     warnings.simplefilter("ignore")
@@ -109,9 +308,13 @@ def main() -> None:
     for i in range(options.shapes):
         made = shape(random)
         census.add("shapes", i, lambda made=made: made.to_mesh(24, bounds=[(-2, -2, -2), (2, 2, 2)]))
-    for seed in range(5):
+    for seed in range(options.soups):
         for choice in ({}, {"fill": "outer"}, {"fill": "outer", "seal": 3}):
             census.add("soups", f"{seed} {choice}", lambda seed=seed, choice=choice: fb.solid(soup(seed), 24, **choice))
+    for seed in range(options.first, options.first + options.parts):
+        check_part(census, seed)
+    for seed in range(options.first, options.first + options.offsets):
+        check_offset(census, seed)
     paths = sorted(path for path in options.models.rglob("*") if path.suffix in ENDINGS) if options.models else []
     for path in paths:
         for resolution in options.resolutions:

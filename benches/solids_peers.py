@@ -280,7 +280,7 @@ def gyroid(options):
     size = mesh.bounds[1] - mesh.bounds[0]
     body = fb.volume_shape(fb.bake(mesh, 64))
     height = fb.plane("z", float(mesh.bounds[0][2]))
-    lattice = body & fb.gyroid(size.max() / 6, height.times(0.03).offset(-0.005 * size.max()))
+    lattice = body & fb.gyroid(size.max() / 6, height.times(0.03, add=0.005 * size.max()))
     made = lattice.to_mesh(200)
     points = np.random.default_rng(0).uniform(*mesh.bounds, (4_000_000, 3))
     within = body.distance(points) < 0

@@ -320,8 +320,12 @@ class Shape:
     def revolve(kind: str, numbers: list[float], counts: list[int], offset: float) -> Shape: ...
     @staticmethod
     def volume(
-        distances: NDArray[np.float32], lower: tuple[float, float, float], upper: tuple[float, float, float]
-    ) -> Shape: ...
+        distances: NDArray[np.float32],
+        lower: tuple[float, float, float],
+        upper: tuple[float, float, float],
+        error: float | None = None,
+    ) -> Shape:
+        """A baked field. ``error`` bounds its difference from the distance, world units; None if that is unknown."""
     @staticmethod
     def combine(op: str, shapes: list[Shape], k: float, chamfer: float) -> Shape: ...
     @staticmethod
@@ -334,6 +338,18 @@ class Shape:
     def bounds(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]: ...
     @property
     def is_exact(self) -> bool: ...
+    @property
+    def field_kind(self) -> str:
+        """ "distance", "joint" (as a distance but for fillets, chamfers and samples) or "scaled"."""
+    @property
+    def field_error(self) -> float: ...
+    @property
+    def is_misused(self) -> bool:
+        """Whether a size in the tree is in units of a field that is no distance."""
+    def without_factor(self) -> tuple[float, Shape] | None:
+        """The factor and the operand, if the root multiplies a field."""
+    def operands(self) -> tuple[str, list[Shape]] | None:
+        """The operator and the operands of the root, if it combines several."""
     @property
     def lipschitz(self) -> float: ...
     @property

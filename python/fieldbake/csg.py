@@ -24,6 +24,7 @@ from .base import checks
 from .base.errors import ShapeError
 from .base.former_names import refusal
 from .base.languages import Language
+from .base.notices import warn_surface
 from .shapes.shader_function import FUNCTION
 from .shapes.shape import Shape, checked_shape
 
@@ -234,6 +235,12 @@ def parse(text: str) -> Shape:
     ShapeError
         For a syntax error or an unknown name, with its line and column.
 
+    Warns
+    -----
+    SurfaceWarning
+        If ``flate``, ``shell`` or ``blend`` is applied to a field that is no distance. The language shifts and joins
+        fields as they are.
+
     Notes
     -----
     Shapes: ``(sphere d)``, ``(ellipsoid x y z)``, ``(box x y z)``, ``(cube s)``, ``(torus outer tube)``,
@@ -266,7 +273,15 @@ def parse(text: str) -> Shape:
             f"text: '{found[1]}' begins a program of OpenSCAD, a language that is not supported. "
             "Write an s-expression such as (diff (cube 3) (sphere 4)), where sizes are full lengths and diameters"
         )
-    return Shape._wrap(_core.Shape.parse(text))
+    shape = Shape._wrap(_core.Shape.parse(text))
+    if shape._core.is_misused:
+        warn_surface(
+            [
+                "text: flate, shell or blend is applied to a field that is no distance, so its size is not in world units; "
+                "the methods offset, shell and smooth of a Shape bake the distance"
+            ]
+        )
+    return shape
 
 
 def decompose(shape: Shape, method: Method = "octree") -> Parts:

@@ -102,10 +102,16 @@ impl Shape {
     }
 
     #[staticmethod]
-    fn volume(distances: PyReadonlyArray3<'_, f32>, lower: [f64; 3], upper: [f64; 3]) -> PyResult<Self> {
+    #[pyo3(signature = (distances, lower, upper, error=None))]
+    fn volume(
+        distances: PyReadonlyArray3<'_, f32>,
+        lower: [f64; 3],
+        upper: [f64; 3],
+        error: Option<f64>,
+    ) -> PyResult<Self> {
         let field = Field::new(&distances, lower, upper)?;
         let view = field.view().map_err(Failure::from)?;
-        let leaf = VolumeLeaf::new(*view.grid(), view.distances().to_vec()).map_err(Failure::from)?;
+        let leaf = VolumeLeaf::new(*view.grid(), view.distances().to_vec(), error).map_err(Failure::from)?;
         Ok(Self::of(csg::Shape::volume(leaf)))
     }
 
@@ -151,6 +157,40 @@ impl Shape {
     #[getter]
     fn is_exact(&self, py: Python<'_>) -> PyResult<bool> {
         Ok(self.solid(py)?.model.is_exact)
+    }
+
+    #[getter]
+    fn field_kind(&self) -> &'static str {
+        self.shape.field_kind().name()
+    }
+
+    #[getter]
+    fn field_error(&self) -> f64 {
+        self.shape.field_error()
+    }
+
+    /// Whether a size in the tree is in units of a field that is no distance.
+    #[getter]
+    fn is_misused(&self) -> bool {
+        self.shape.is_misused()
+    }
+
+    /// The factor and the operand, if the root multiplies a field.
+    fn without_factor(&self) -> Option<(f64, Self)> {
+        match self.shape.kind() {
+            csg::tree::shape::Kind::Times(factor) => Some((*factor, Self::of(self.shape.children()[0].clone()))),
+            _ => None,
+        }
+    }
+
+    /// The operands of the root, if it combines several, and the word of its operator.
+    fn operands(&self) -> Option<(&'static str, Vec<Self>)> {
+        match self.shape.kind() {
+            csg::tree::shape::Kind::Combine { op, .. } => {
+                Some((op.name(), self.shape.children().iter().cloned().map(Self::of).collect()))
+            }
+            _ => None,
+        }
     }
 
     #[getter]

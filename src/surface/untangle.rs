@@ -21,9 +21,13 @@ use crate::geometry::triangles_cross;
 use crate::progress::Progress;
 use glam::{DVec2, DVec3, IVec3};
 use rayon::prelude::*;
+use std::collections::HashSet;
 
 /// Number of cells between two checks of the progress.
 const CHUNK: usize = 1 << 10;
+
+/// Binary logarithm of the side of a block of cells.
+const BLOCK: i32 = 2;
 
 /// Most triangles of a quadrilateral: a fan around its edge over four vertices and four points on faces.
 const MOST_TRIANGLES: usize = 8;
@@ -44,6 +48,7 @@ impl LevelSurface {
     pub(super) fn untangle(
         &self,
         vertices: &mut [DVec3],
+        is_clamped: &[bool],
         quads: &mut [Quad],
         crossings: &[Crossing],
         extra: &ExtraPlanes,
@@ -56,6 +61,16 @@ impl LevelSurface {
             let tangle =
                 Tangle { surface: self, vertices, quads, crossings, division: &division, is_changed: &is_changed };
             let mut patches = tangle.crossing_patches(progress)?;
+            if division.is_empty()
+                && let Ok(word) = std::env::var("FB_DIVIDE")
+            {
+                patches.extend(
+                    (0..self.cells.patch_count() as u32)
+                        .filter(|&id| word == "all" || (word == "clamped") && is_clamped[id as usize]),
+                );
+                patches.sort_unstable();
+                patches.dedup();
+            }
             patches.retain(|&patch| !division.contains(patch));
             if patches.is_empty() {
                 return Ok(division);
@@ -68,6 +83,9 @@ impl LevelSurface {
         }
     }
 }
+
+/// The box of a quadrilateral: lower and upper corner, world units.
+type Extent = [DVec3; 2];
 
 /// A surface with its vertices and quadrilaterals.
 struct Tangle<'a> {
@@ -101,14 +119,28 @@ impl Tangle<'_> {
         });
         let outside: Vec<u32> =
             (0..self.quads.len() as u32).filter(|&edge| !self.quads[edge as usize].is_around).collect();
+        // All quadrilaterals are near a changed one at first.
+        let changed = self.is_changed.contains(&false).then(|| self.blocks_of_changed());
+        let extents: Vec<Extent> = if outside.is_empty() {
+            Vec::new()
+        } else {
+            (0..self.quads.len()).into_par_iter().map(|edge| self.extent(edge as u32)).collect()
+        };
+        let is_near = |edge: u32| {
+            changed.as_ref().is_none_or(|blocks| {
+                let mut own = self.blocks(extents[edge as usize]);
+                own.any(|block| blocks.contains(&block))
+            })
+        };
+        let outside: Vec<u32> = outside.into_iter().filter(|&edge| is_near(edge)).collect();
         let beyond = outside.par_chunks(CHUNK).map(|edges| {
-            let mut found = Vec::new();
-            edges.iter().for_each(|&edge| self.compare_around(edge, &mut found));
+            let (mut found, mut others) = (Vec::new(), Vec::new());
+            edges.iter().for_each(|&edge| self.compare_around(edge, &extents, &mut others, &mut found));
             progress.check()?;
             Ok(found)
         });
         let mut found = in_cells.chain(beyond).collect::<Result<Vec<_>, Error>>()?.concat();
-        self.compare_outside(&outside, &mut found);
+        self.compare_outside(&outside, &extents, &mut found);
         found.sort_unstable();
         found.dedup();
         Ok(found)
@@ -156,18 +188,18 @@ impl Tangle<'_> {
     }
 
     /// The box of a quadrilateral.
-    fn extent(&self, edge: u32) -> [DVec3; 2] {
-        let (mut lower, mut upper) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        self.division.for_triangles(
-            edge,
-            self.surface.links.patches_around(edge),
-            &self.quads[edge as usize],
-            |corners| {
-                for place in corners.map(|corner| self.place(corner)) {
-                    (lower, upper) = (lower.min(place), upper.max(place));
-                }
-            },
-        );
+    fn extent(&self, edge: u32) -> Extent {
+        let around = self.surface.links.patches_around(edge);
+        let [a, b, c, d] = around.map(|patch| self.vertices[patch as usize]);
+        let (mut lower, mut upper) = (a.min(b).min(c.min(d)), a.max(b).max(c.max(d)));
+        if !around.iter().any(|&patch| self.division.contains(patch)) {
+            return [lower, upper];
+        }
+        self.division.for_triangles(edge, around, &self.quads[edge as usize], |corners| {
+            for place in corners.map(|corner| self.place(corner)) {
+                (lower, upper) = (lower.min(place), upper.max(place));
+            }
+        });
         [lower, upper]
     }
 
@@ -197,41 +229,60 @@ impl Tangle<'_> {
         }
     }
 
-    /// Compares a quadrilateral with the quadrilaterals at the patches of the cells that its box overlaps.
-    fn compare_around(&self, edge: u32, found: &mut Vec<u32>) {
+    /// The blocks of cells that the boxes of changed quadrilaterals overlap.
+    fn blocks_of_changed(&self) -> HashSet<IVec3> {
+        let changed = (0..).zip(self.is_changed).filter(|&(_, &is_changed)| is_changed);
+        changed.flat_map(|(edge, _)| self.blocks(self.extent(edge))).collect()
+    }
+
+    fn blocks(&self, extent: Extent) -> impl Iterator<Item = IVec3> + use<> {
+        let [lower, upper] = extent.map(|place| self.surface.cell_at(place) >> BLOCK);
+        indices(lower, upper)
+    }
+
+    /// Compares a quadrilateral with the quadrilaterals at the patches of the cells that its box overlaps. `others` is
+    /// a buffer.
+    fn compare_around(&self, edge: u32, extents: &[Extent], others: &mut Vec<u32>, found: &mut Vec<u32>) {
         let surface = self.surface;
-        let own = self.triangles(edge);
-        let [lower, upper] = self.extent(edge).map(|place| surface.cell_at(place));
-        for z in lower.z..=upper.z {
-            for y in lower.y..=upper.y {
-                for cell in (lower.x..=upper.x).filter_map(|x| surface.cells.find([x, y, z])) {
-                    for other in edges_at(surface, cell).filter(|&other| other != edge) {
-                        if self.is_changed[edge as usize] || self.is_changed[other as usize] {
-                            self.compare(&own, &self.triangles(other), found);
-                        }
-                    }
-                }
-            }
+        let extent = extents[edge as usize];
+        let [lower, upper] = extent.map(|place| surface.cell_at(place));
+        let is_candidate = |other: u32| {
+            other != edge
+                && (self.is_changed[edge as usize] || self.is_changed[other as usize])
+                && overlap(extent, extents[other as usize])
+        };
+        others.clear();
+        for cell in indices(lower, upper).filter_map(|index| surface.cells.find(index.to_array())) {
+            others.extend(edges_at(surface, cell).filter(|&other| is_candidate(other)));
+        }
+        others.sort_unstable();
+        others.dedup();
+        if !others.is_empty() {
+            let own = self.triangles(edge);
+            others.iter().for_each(|&other| self.compare(&own, &self.triangles(other), found));
         }
     }
 
     /// Compares quadrilaterals with corners outside their cells with each other.
-    fn compare_outside(&self, edges: &[u32], found: &mut Vec<u32>) {
-        let mut entries: Vec<([i32; 3], u32)> = Vec::new();
+    fn compare_outside(&self, edges: &[u32], extents: &[Extent], found: &mut Vec<u32>) {
+        let mut entries: Vec<([i32; 3], u32)> = Vec::with_capacity(8 * edges.len());
         for &edge in edges {
-            let [lower, upper] = self.extent(edge).map(|place| self.surface.cell_at(place));
-            for z in lower.z..=upper.z {
-                for y in lower.y..=upper.y {
-                    entries.extend((lower.x..=upper.x).map(|x| ([x, y, z], edge)));
-                }
+            let [lower, upper] = extents[edge as usize].map(|place| self.surface.cell_at(place));
+            entries.extend(indices(lower, upper).map(|index| (index.to_array(), edge)));
+        }
+        entries.par_sort_unstable();
+        let mut pairs = Vec::new();
+        for group in entries.chunk_by(|a, b| a.0 == b.0) {
+            for (i, &(_, first)) in group.iter().enumerate() {
+                let others = group[..i].iter().map(|entry| entry.1);
+                let overlapping = others.filter(|&other| overlap(extents[first as usize], extents[other as usize]));
+                pairs.extend(overlapping.map(|other| (first, other)));
             }
         }
-        entries.sort_unstable();
-        let (mut group, mut triangles) = (Vec::new(), Vec::new());
-        for entries in entries.chunk_by(|a, b| a.0 == b.0).filter(|entries| entries.len() > 1) {
-            group.clear();
-            group.extend(entries.iter().map(|entry| entry.1));
-            self.compare_all(&group, &mut triangles, found);
+        pairs.sort_unstable();
+        pairs.dedup();
+        for (first, second) in pairs {
+            self.compare(&self.triangles(first), &self.triangles(second), found);
         }
     }
 
@@ -259,6 +310,17 @@ impl Tangle<'_> {
             }
         }
     }
+}
+
+/// Whether two boxes overlap.
+fn overlap([lower, upper]: Extent, [low, high]: Extent) -> bool {
+    lower.cmple(high).all() && low.cmple(upper).all()
+}
+
+/// The indices from `lower` to `upper`.
+fn indices(lower: IVec3, upper: IVec3) -> impl Iterator<Item = IVec3> + use<> {
+    let rows = (lower.z..=upper.z).flat_map(move |z| (lower.y..=upper.y).map(move |y| (y, z)));
+    rows.flat_map(move |(y, z)| (lower.x..=upper.x).map(move |x| IVec3::new(x, y, z)))
 }
 
 /// The crossed edges at the patches of a cell.

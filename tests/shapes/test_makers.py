@@ -250,7 +250,7 @@ def level_function(name, points, cell):
 
 
 THICKNESSES = {
-    "ramp": fb.plane("z", -1.0).times(0.05).offset(-0.02),
+    "ramp": fb.plane("z", -1.0).times(0.05, add=0.02),
     "ball": fb.sphere(0.7),
     "hollow": ~fb.sphere(0.7),
     "volume": fb.Volume(RANDOM.uniform(-0.02, 0.3, (9, 9, 9)), [(-1.5,) * 3, (1.5,) * 3]),
@@ -277,7 +277,7 @@ def test_the_thickness_of_a_sheet_is_a_field(name, kind):
 
 
 def test_a_graded_sheet_has_the_expected_volume():
-    ramp = fb.plane("z", -1.0).times(0.08).offset(-0.05)
+    ramp = fb.plane("z", -1.0).times(0.08, add=0.05)
     core = fb.sphere(1.0) & fb.gyroid(0.7, ramp)
     points = np.random.default_rng(2).uniform(-1, 1, (400_000, 3))
     points = points[np.linalg.norm(points, axis=1) < 1]
@@ -293,9 +293,9 @@ def test_bounds_of_a_steeper_field_contain_its_offsets(offsets):
     ball = fb.sphere(radius=1).times(3)
     for offset in offsets:
         ball = ball.offset(offset)
-    # The field is 3 (r - 1) + 0.6. The sum of the offsets is rounded.
-    np.testing.assert_allclose(ball.bounds, [[-0.8] * 3, [0.8] * 3], rtol=1e-12, equal_nan=False)
-    assert ball.to_mesh(32).volume == pytest.approx(4 / 3 * np.pi * 0.8**3, rel=0.01)
+    # The field is 3 (r - 1 + 0.6). The sum of the offsets is rounded.
+    np.testing.assert_allclose(ball.bounds, [[-0.4] * 3, [0.4] * 3], rtol=1e-12, equal_nan=False)
+    assert ball.to_mesh(32).volume == pytest.approx(4 / 3 * np.pi * 0.4**3, rel=0.01)
 
 
 def test_times_changes_the_slope_alone():
@@ -306,9 +306,12 @@ def test_times_changes_the_slope_alone():
         assert field.lipschitz == factor
         assert fb.csg.parse(field.to_sexpr()) == field
         for level in (0.1, -0.1):
-            # The level set of 5 d at 0.1 is the level set of d at 0.02. A dual mesh of 24 voxels bulges by 0.01 at
-            # most.
-            grown, radius = field.offset(level), 1 + level / factor
+            # The level set of 5 d at 0.1 is the level set of d at 0.02, and an offset of 0.1 is in world units. A dual
+            # mesh of 24 voxels bulges by 0.01 at most.
+            grown, radius = ball.times(factor, add=-level), 1 + level / factor
+            np.testing.assert_allclose(
+                field.offset(level).distance(POINTS), factor * (ball.distance(POINTS) - level), atol=1e-5
+            )
             assert (grown.bounds[1] >= radius - 1e-9).all()
             assert grown.to_mesh(24).bounds[1].max() == pytest.approx(radius, abs=0.02)
     with pytest.raises(fb.ShapeError, match="factor"):

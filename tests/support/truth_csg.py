@@ -526,12 +526,14 @@ def placed(tree, offset, axis, degrees, factor):
 
 
 def offset(tree, distance):
-    return Tree(tree.shape.offset(distance), lambda p: tree.field(p) - distance, f"offset {distance} [{tree.text}]")
+    # The field is shifted, also where it is no distance; `Shape.offset` would bake the distance there.
+    shape = tree.shape._changed("offset", distance)
+    return Tree(shape, lambda p: tree.field(p) - distance, f"offset {distance} [{tree.text}]")
 
 
 def shell(tree, thickness):
     field = lambda p: np.abs(tree.field(p)) - thickness / 2  # noqa: E731
-    return Tree(tree.shape.shell(thickness), field, f"shell {thickness} [{tree.text}]")
+    return Tree(tree.shape._changed("shell", thickness), field, f"shell {thickness} [{tree.text}]")
 
 
 def mirror(tree, axis):

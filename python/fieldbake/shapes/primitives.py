@@ -17,7 +17,7 @@ from ..base.errors import ShapeError
 from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume, plain_field
 from .arguments import Axis, axis_of, number, numbers, sides
-from .shape import Shape, combine
+from .shape import Shape
 
 #: The public functions; the package exports all of them.
 __all__ = [
@@ -386,7 +386,7 @@ def gyroid(cell: float = 1.0, thickness: float | Shape | Volume | SparseVolume =
     The sheet of this core is 0.02 thick at the bottom and 0.12 at the top:
 
     >>> height = fb.plane("z", -1.0)
-    >>> graded = fb.sphere(1.0) & fb.gyroid(cell=0.5, thickness=height.times(0.05).offset(-0.02))
+    >>> graded = fb.sphere(1.0) & fb.gyroid(cell=0.5, thickness=height.times(0.05, add=0.02))
     >>> graded.lipschitz
     1.0
     """
@@ -523,7 +523,8 @@ def _sheet(name: str, cell: float, thickness: float | Shape | Volume | SparseVol
     # most 0 everywhere, so the result is at most 0 where t >= 0 and g <= t/2.
     width = 1.0001 * cell * _LARGEST[name] / (2 * math.pi)
     whole = _primitive(name, cell, 2 * width)
-    return combine("intersection", [whole, ~thickness.times(0.5)], chamfer=width)
+    half = ~thickness.times(0.5)
+    return Shape._wrap(_core.Shape.combine("intersection", [whole._core, half._core], 0.0, width))
 
 
 def _is_point(value: object) -> bool:

@@ -26,7 +26,7 @@ from ..meshes.isosurface import ShapeSource, extract
 from ..meshes.mesh import Mesh
 from ..meshes.section import Section, Sectioned, field_sections, frames
 from ..volumes.volume import Volume, plain_field
-from . import arguments
+from . import arguments, exact_distance
 from .arguments import Axis
 from .representation import python_text
 from .shader_function import FUNCTION, shader_function
@@ -103,7 +103,9 @@ class Shape(Viewable, Sectioned):
             return NotImplemented  # type: ignore[no-any-return]
         return combine(op, [operand, self] if is_second else [self, operand])
 
-    def union(self, *others: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
+    def union(
+        self, *others: Shape, k: float = 0.0, chamfer: float = 0.0, resolution: int = exact_distance.RESOLUTION
+    ) -> Shape:
         """Unite the shapes.
 
         Parameters
@@ -114,36 +116,56 @@ class Shape(Viewable, Sectioned):
             Width of a smooth joint, world units: the field changes where two operands differ by less. 0 is sharp.
         chamfer : float, default 0
             Width of a chamfered joint, world units. 0 is sharp. A joint is smooth or chamfered, and not both.
+        resolution : int, default 128
+            Voxels along the longest side of the box of an operand whose field is scaled by `twist`, `bend`,
+            `elongate`, `times` or a periodic sheet. Its distance is baked for a smooth or chamfered joint, so that the
+            width is in world units. Sharp joints, and joints of other operands, have no use for it.
 
         Raises
         ------
         ShapeError
-            For an operand that is not a Shape, a negative width, or both widths.
+            For an operand that is not a Shape, a negative width, both widths, or a scaled operand without bounds.
         """
-        return combine("union", [self, *others], k=k, chamfer=chamfer)
+        return combine("union", [self, *others], k=k, chamfer=chamfer, resolution=resolution)
 
-    def intersection(self, *others: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
+    def intersection(
+        self, *others: Shape, k: float = 0.0, chamfer: float = 0.0, resolution: int = exact_distance.RESOLUTION
+    ) -> Shape:
         """Intersect the shapes; operands, joints and errors are the same as in :meth:`union`."""
-        return combine("intersection", [self, *others], k=k, chamfer=chamfer)
+        return combine("intersection", [self, *others], k=k, chamfer=chamfer, resolution=resolution)
 
-    def difference(self, *others: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
+    def difference(
+        self, *others: Shape, k: float = 0.0, chamfer: float = 0.0, resolution: int = exact_distance.RESOLUTION
+    ) -> Shape:
         """Subtract the other shapes; operands, joints and errors are the same as in :meth:`union`."""
-        return combine("difference", [self, *others], k=k, chamfer=chamfer)
+        return combine("difference", [self, *others], k=k, chamfer=chamfer, resolution=resolution)
 
-    def xor(self, *others: Shape, k: float = 0.0, chamfer: float = 0.0) -> Shape:
+    def xor(
+        self, *others: Shape, k: float = 0.0, chamfer: float = 0.0, resolution: int = exact_distance.RESOLUTION
+    ) -> Shape:
         """Take the symmetric difference from left to right; operands, joints and errors as in :meth:`union`."""
-        return combine("xor", [self, *others], k=k, chamfer=chamfer)
+        return combine("xor", [self, *others], k=k, chamfer=chamfer, resolution=resolution)
 
-    def smooth(self, k: float) -> Shape:
+    def smooth(self, k: float, *, resolution: int = exact_distance.RESOLUTION) -> Shape:
         """Replace the joint of the root operator by a fillet, as in ``(a | b).smooth(0.2)``.
 
-        The field changes only where the two operands differ by less than `k`, world units.
+        The field changes only where the two operands differ by less than `k`, world units. `resolution` is as for
+        :meth:`union`.
         """
-        return Shape._wrap(self._core.reblended(arguments.number("k", k), 0.0))
+        return self._jointed(arguments.number("k", k), 0.0, resolution)
 
-    def chamfer(self, width: float) -> Shape:
-        """Replace the joint of the root operator by a flat at 45 degrees that takes `width` off each side."""
-        return Shape._wrap(self._core.reblended(0.0, arguments.number("chamfer", width)))
+    def chamfer(self, width: float, *, resolution: int = exact_distance.RESOLUTION) -> Shape:
+        """Replace the joint of the root operator by a flat at 45 degrees that takes `width` off each side.
+
+        `width` is in world units, and `resolution` is as for :meth:`union`.
+        """
+        return self._jointed(0.0, arguments.number("chamfer", width), resolution)
+
+    def _jointed(self, k: float, chamfer: float, resolution: int) -> Shape:
+        op, operands = self._core.operands() or ("", [])
+        if all(operand.field_kind != "scaled" for operand in operands):
+            return Shape._wrap(self._core.reblended(k, chamfer))
+        return combine(op, [Shape._wrap(core) for core in operands], k=k, chamfer=chamfer, resolution=resolution)
 
     # --- placement
 
@@ -217,21 +239,78 @@ class Shape(Viewable, Sectioned):
 
     # --- deformation
 
-    def offset(self, distance: float) -> Shape:
-        """Grow the shape by `distance`, world units; a negative distance shrinks it."""
-        return self._changed("offset", arguments.number("distance", distance))
+    def offset(self, distance: float, *, resolution: int | None = None) -> Shape:
+        """Grow the shape by `distance`, world units; a negative distance shrinks it.
 
-    def shell(self, thickness: float) -> Shape:
-        """Replace the solid by a shell about its surface. Half of `thickness`, world units, lies on each side."""
-        return self._changed("shell", arguments.number("thickness", thickness))
+        Parameters
+        ----------
+        distance : float
+            Distance of the new surface from the old one, world units.
+        resolution : int, optional
+            Voxels along the longest side of the box for a bake of the distance. The default is 128 where a bake is
+            needed, and none elsewhere.
 
-    def times(self, factor: float) -> Shape:
-        """Multiply the field by `factor`, 1e-6 to 1e6. The solid stays, and the slope of the field changes.
+        Raises
+        ------
+        ShapeError
+            If `distance` is not finite, or a bake is needed and the shape has no bounds or no surface.
 
-        The field ``shape.times(0.1).offset(-0.02)`` is 0.02 on the surface and changes by 0.1 per unit of distance. It
+        Notes
+        -----
+        Unions, intersections and differences of exact shapes shift their field: all faces move by the distance, and the
+        edges between them stay sharp. Fields that are no distances are those of `twist`, `bend`, most `elongate`,
+        periodic sheets, `xor`, smooth and chamfered joints, and volumes. For these the distance from the surface is
+        baked, as it is for any shape with `resolution`: the result then has round convex edges, no colours, and a
+        volume as a leaf, which shader text and the language of shapes do not support. :attr:`field_error` bounds its
+        error. The offset of ``shape.times(factor)`` is ``shape.offset(distance).times(factor)``.
+
+        Examples
+        --------
+        >>> import fieldbake as fb
+        >>> fb.box(2).offset(0.5).distance([(2, 0, 0)]).tolist()
+        [0.5]
+        >>> bar = fb.box((1, 1, 4)).twist(per_unit_deg=30)
+        >>> grown = bar.offset(0.1)
+        >>> grown.distance([(0.6, 0, 0)]).astype(float).round(2).tolist()
+        [0.0]
+        """
+        amount = arguments.number("distance", distance)
+        scaled = self._core.without_factor()
+        if scaled is not None and resolution is None:
+            factor, operand = scaled
+            return Shape._wrap(operand).offset(amount).times(factor)
+        return self._distance("offset", max(amount, 0.0), resolution)._changed("offset", amount)
+
+    def shell(self, thickness: float, *, resolution: int | None = None) -> Shape:
+        """Replace the solid by a shell about its surface. Half of `thickness`, world units, lies on each side.
+
+        `resolution`, errors and bakes are as for :meth:`offset`.
+        """
+        amount = arguments.number("thickness", thickness)
+        scaled = self._core.without_factor()
+        if scaled is not None and resolution is None:
+            factor, operand = scaled
+            return Shape._wrap(operand).shell(amount).times(factor)
+        if not amount > 0:
+            return self._changed("shell", amount)
+        return self._distance("shell", amount / 2, resolution)._changed("shell", amount)
+
+    def _distance(self, name: str, reach: float, resolution: int | None) -> Shape:
+        """The shape itself if its field is a distance, else a leaf with its baked distance up to `reach`."""
+        if resolution is None and self._core.field_kind == "distance":
+            return self
+        count = _count(exact_distance.RESOLUTION if resolution is None else resolution)
+        return Shape._wrap(exact_distance.distance_leaf(self._core, name, reach, count))
+
+    def times(self, factor: float, *, add: float = 0.0) -> Shape:
+        """Multiply the field by `factor`, 1e-6 to 1e6, then add `add`. Without `add` the solid stays.
+
+        The field ``shape.times(0.1, add=0.02)`` is 0.02 on the surface and changes by 0.1 per unit of distance. It
         may be the thickness of :func:`gyroid`. The result is a distance only for the factor 1.
         """
-        return self._changed("times", arguments.number("factor", factor))
+        scaled = self._changed("times", arguments.number("factor", factor))
+        added = arguments.number("add", add)
+        return scaled._changed("offset", -added) if added else scaled
 
     def elongate(self, size: ArrayLike) -> Shape:
         """Cut the shape at the coordinate planes and pull the pieces apart by `size` (3,) in total."""
@@ -384,6 +463,17 @@ class Shape(Viewable, Sectioned):
     def exact(self) -> bool:
         """Whether :meth:`distance` is the Euclidean distance everywhere, including the inside."""
         return self._core.is_exact
+
+    @property
+    def field_error(self) -> float:
+        """Bound of the difference between the field and the distance near the surface, world units.
+
+        It holds at points whose nearest surface point lies on no edge, for features of at least two voxels. It is 0 for
+        exact shapes and their sharp unions, intersections and differences. For a baked distance, as in :meth:`offset`,
+        it is the error of the contour and the largest error of linear interpolation, 0.87 voxels together with it; the
+        error on smooth parts is a few hundredths of a voxel. It is infinite where no bound is known.
+        """
+        return self._core.field_error
 
     @property
     def lipschitz(self) -> float:
@@ -618,7 +708,9 @@ class Shape(Viewable, Sectioned):
         try:
             return f"Shape({python_text(self.to_sexpr())})"
         except ShapeError:
-            return f"Shape({leaves} leaves, one of them a volume)"
+            error = self.field_error
+            bound = f", field_error={error:.2g}" if 0 < error < math.inf else ""
+            return f"Shape({leaves} {'leaf' if leaves == 1 else 'leaves'}, one of them a volume{bound})"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _from_sexpr, (self.to_sexpr(),)
@@ -628,12 +720,48 @@ def _from_sexpr(text: str) -> Shape:
     return Shape._wrap(_core.Shape.parse(text))
 
 
-def combine(op: str, shapes: Iterable[object], *, k: float = 0.0, chamfer: float = 0.0) -> Shape:
-    """Combine shapes from the left; `op` is "union", "intersection", "difference" or "xor"."""
+def combine(
+    op: str,
+    shapes: Iterable[object],
+    *,
+    k: float = 0.0,
+    chamfer: float = 0.0,
+    resolution: int = exact_distance.RESOLUTION,
+) -> Shape:
+    """Combine shapes from the left; `op` is "union", "intersection", "difference" or "xor".
+
+    Operands of a smooth or chamfered joint whose field is scaled are replaced by their baked distance.
+    """
     checked = [
         checked_shape(f"shapes[{number}]", operand_of(shape) or shape)._core for number, shape in enumerate(shapes)
     ]
-    return Shape._wrap(_core.Shape.combine(op, checked, arguments.number("k", k), arguments.number("chamfer", chamfer)))
+    widths = arguments.number("k", k), arguments.number("chamfer", chamfer)
+    scaled = [core.field_kind == "scaled" for core in checked]
+    if max(widths) > 0 and any(scaled) and len(checked) > 1:
+        count = _count(resolution)
+        reach = max(widths)
+        box = _joint_box(op, checked, reach)
+        checked = [
+            exact_distance.distance_leaf(core, op, reach, count, box) if is_scaled else core
+            for core, is_scaled in zip(checked, scaled, strict=True)
+        ]
+    return Shape._wrap(_core.Shape.combine(op, checked, *widths))
+
+
+def _joint_box(op: str, operands: list[CoreShape], width: float) -> NDArray[np.float64]:
+    """The box (2, 3) in which a joint of this width needs the fields of its operands."""
+    sharp = Shape._wrap(_core.Shape.combine(op, operands, 0.0, 0.0))
+    try:
+        return sharp.bounds + width * np.array([[-1.0], [1.0]])
+    except ShapeError as error:
+        raise ShapeError(
+            f"{op}: a smooth or chamfered joint bakes the distance of operands whose field is scaled, which needs "
+            f"bounds: {error}; intersect it with a bounded shape first"
+        ) from None
+
+
+def _count(resolution: object) -> int:
+    return checks.integer("resolution", resolution, least=1, most=1 << 20, error=ShapeError)
 
 
 def operand_of(value: object) -> Shape | None:

@@ -2,6 +2,7 @@
 
 pub(crate) mod checks;
 pub(crate) mod edge_grid;
+pub(crate) mod field_kind;
 pub(crate) mod language_table;
 pub(crate) mod placement;
 pub(crate) mod primitive;

@@ -5,6 +5,7 @@
 //! traversed and dropped.
 
 use super::checks::{finite, not_negative, positive};
+use super::field_kind::FieldKind;
 use super::primitive::{Ends, Primitive};
 use super::profile::Profile;
 use super::volume_leaf::VolumeLeaf;
@@ -24,6 +25,9 @@ pub(crate) struct ShapeNode {
     leaves: u64,
     /// As `leaves`, with eight copies for a repetition of more than [`MAX_COPIES`].
     evaluated: u64,
+    field_kind: FieldKind,
+    field_error: f64,
+    is_misused: bool,
 }
 
 /// Operation of a node on its children.
@@ -181,12 +185,19 @@ impl Shape {
         if evaluated > MAX_LEAVES {
             return Err(too_many_leaves());
         }
-        Ok(Self(Arc::new(ShapeNode { kind, children, leaves, evaluated })))
+        Ok(Self::made(kind, children, leaves, evaluated))
     }
 
     /// A primitive as a shape.
     pub fn primitive(primitive: Primitive) -> Self {
-        Self(Arc::new(ShapeNode { kind: Kind::Primitive(primitive), children: Vec::new(), leaves: 1, evaluated: 1 }))
+        Self::made(Kind::Primitive(primitive), Vec::new(), 1, 1)
+    }
+
+    fn made(kind: Kind, children: Vec<Self>, leaves: u64, evaluated: u64) -> Self {
+        let field_kind = FieldKind::of(&kind, &children);
+        let field_error = FieldKind::error_of(&kind, &children);
+        let is_misused = FieldKind::is_misused(&kind, &children) || children.iter().any(|child| child.0.is_misused);
+        Self(Arc::new(ShapeNode { kind, children, leaves, evaluated, field_kind, field_error, is_misused }))
     }
 
     /// A baked field.
@@ -295,6 +306,22 @@ impl Shape {
     /// The shapes that the root combines or changes.
     pub fn children(&self) -> &[Self] {
         &self.0.children
+    }
+
+    /// The relation of the field to the distance.
+    pub fn field_kind(&self) -> FieldKind {
+        self.0.field_kind
+    }
+
+    /// Bound of the difference between the field and the distance near the surface, at points whose nearest surface
+    /// point lies on no edge, world units; infinite if none is known.
+    pub fn field_error(&self) -> f64 {
+        self.0.field_error
+    }
+
+    /// Whether a size in the tree is in units of a field that is no distance.
+    pub fn is_misused(&self) -> bool {
+        self.0.is_misused
     }
 
     /// Number of leaves, with repetitions written out.

@@ -19,10 +19,13 @@ pub struct VolumeLeaf {
     lipschitz: f64,
     /// Box of the surface: no cell outside it has a sample at or below zero.
     surface: [DVec3; 2],
+    /// Largest difference between the field and the distance in the box, world units; None if the samples may be no
+    /// distances.
+    error: Option<f64>,
 }
 
 impl VolumeLeaf {
-    pub fn new(grid: Grid, distances: Vec<f32>) -> Result<Self, Error> {
+    pub fn new(grid: Grid, distances: Vec<f32>, error: Option<f64>) -> Result<Self, Error> {
         FieldView::new(grid, &distances)?;
         if let Some(i) = distances.iter().position(|d| !d.is_finite()) {
             return Err(
@@ -63,7 +66,7 @@ impl VolumeLeaf {
             // The surface ends before the next centre, which is outside.
             [(centre(low) - h).max(grid.lower), (centre(high) + h).min(grid.upper)]
         };
-        Ok(Self { grid, distances, lipschitz, surface })
+        Ok(Self { grid, distances, lipschitz, surface, error })
     }
 
     pub fn grid(&self) -> &Grid {
@@ -72,6 +75,10 @@ impl VolumeLeaf {
 
     pub fn distances(&self) -> &[f32] {
         &self.distances
+    }
+
+    pub fn error(&self) -> Option<f64> {
+        self.error
     }
 
     pub fn lipschitz(&self) -> f64 {
@@ -83,8 +90,12 @@ impl VolumeLeaf {
         (n * low).max(n * high).element_sum()
     }
 
-    /// Largest distance from the box of the surface to the box of the grid. Between them the field may have any value.
+    /// Largest distance from the box of the surface to the box of the grid. Between them the field may have any value,
+    /// unless it is a distance with a known error.
     pub fn slack(&self) -> f64 {
+        if let Some(error) = self.error {
+            return error;
+        }
         let [low, high] = self.surface;
         (low - self.grid.lower).max(self.grid.upper - high).max_element()
     }
