@@ -674,7 +674,7 @@ class Surface:
         level: float,
     ) -> Surface:
         """The level set of a shape on a grid."""
-    def use_shape(self, shape: Shape, level: float) -> None:
+    def use_shape(self, shape: Shape, level: float, *, sharp: bool = True) -> None:
         """Use the tangent planes of the level set of a shape, and add those around all vertices."""
     def edges(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Both ends of each crossed edge, (m, 3) each, and the fraction of the edge before the crossing, (m,)."""

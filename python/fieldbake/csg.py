@@ -277,8 +277,8 @@ def parse(text: str) -> Shape:
     if shape._core.is_misused:
         warn_surface(
             [
-                "text: flate, shell or blend is applied to a field that is no distance, so its size is not in world units; "
-                "the methods offset, shell and smooth of a Shape bake the distance"
+                "text: flate, shell or blend is applied to a field that is no distance, so its size is not in world "
+                "units; the methods offset, shell and smooth of a Shape bake the distance"
             ]
         )
     return shape

@@ -105,13 +105,18 @@ impl Surface {
         )
     }
 
-    /// Uses the tangent planes of the level set of a shape, and joins those around all vertices.
-    fn use_shape(&self, py: Python<'_>, shape: PyRef<'_, Shape>, level: f64) -> PyResult<()> {
+    /// Uses the crossings and the tangent planes of the level set of a shape, and joins those around all vertices if the
+    /// mesh is to be `sharp`.
+    #[pyo3(signature = (shape, level, *, sharp=true))]
+    fn use_shape(&self, py: Python<'_>, shape: PyRef<'_, Shape>, level: f64, sharp: bool) -> PyResult<()> {
         let solid = shape.solid(py)?;
         self.with(py, move |state, progress| {
             let State { surface, crossings, .. } = state;
             planes_of_shape(surface, crossings, &solid, level, progress)?;
-            state.extra = planes_around_of_shape(surface, crossings, &solid, level, progress)?;
+            surface.set_exact();
+            if sharp {
+                state.extra = planes_around_of_shape(surface, crossings, &solid, level, progress)?;
+            }
             Ok(())
         })
     }

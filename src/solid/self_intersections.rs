@@ -1,7 +1,8 @@
 //! Pairs of faces that intersect.
 //!
-//! Two triangles cross where an edge of one passes through the inside of the other ([`triangles_cross`]). Faces with a common vertex are excluded, since they touch there by construction.
-//! Faces that only touch, and overlapping faces in one plane, do not count.
+//! Two triangles cross where an edge of one passes through the inside of the other ([`triangles_cross`]). Faces with a
+//! common edge are excluded, since they touch there by construction. Faces that only touch, and overlapping faces in one
+//! plane, do not count.
 
 use crate::bvh::BOX_ROUNDING;
 use crate::bvh::boxes::round_down;
@@ -50,7 +51,7 @@ fn crossings_of(mesh: &Mesh, face: u32) -> u64 {
                 // Most faces of a pack lie beside this one, and a comparison of boxes is the cheapest test.
                 if lower.cmple(own_upper).all()
                     && own_lower.cmple(upper).all()
-                    && !welded(other).iter().any(|vertex| own.contains(vertex))
+                    && may_cross(&own, &welded(other), &corners, &others)
                     && triangles_cross(corners, others)
                 {
                     count += 1;
@@ -59,6 +60,17 @@ fn crossings_of(mesh: &Mesh, face: u32) -> u64 {
         },
     );
     count
+}
+
+/// Whether two faces have no common vertex, or one at exactly the same position in both. Their welded vertices and
+/// corners are in the same order.
+fn may_cross(own: &[u32; 3], others: &[u32; 3], corners: &[DVec3; 3], other_corners: &[DVec3; 3]) -> bool {
+    let mut common = (0..9).filter(|pair| own[pair / 3] == others[pair % 3]);
+    match (common.next(), common.next()) {
+        (None, _) => true,
+        (Some(pair), None) => corners[pair / 3] == other_corners[pair % 3],
+        _ => false,
+    }
 }
 
 fn box_of([a, b, c]: [DVec3; 3]) -> [DVec3; 2] {

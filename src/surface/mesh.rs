@@ -91,15 +91,7 @@ impl LevelSurface {
         progress: &Progress,
     ) -> Result<SurfaceMesh, Error> {
         let (mut vertices, mut quads) = self.settled(&crossings, &extra, options);
-        let division = self.untangle(
-            &mut vertices.places,
-            &vertices.is_clamped,
-            &mut quads,
-            &crossings,
-            &extra,
-            options.sharp,
-            progress,
-        )?;
+        let division = self.untangle(&mut vertices.places, &mut quads, &crossings, &extra, options.sharp, progress)?;
         let is_open = if options.capped { Vec::new() } else { on_box(&crossings) };
         if !division.is_empty() {
             return Ok(self.divided_mesh(vertices, &quads, &crossings, &division, &is_open));
@@ -455,6 +447,9 @@ impl LevelSurface {
             let is_free = is_within(minimum.point, [lower, upper]) && !minimum.clamped;
             let point = if is_free { planes.refined(minimum.point, lower, upper) } else { minimum.point };
             (point, minimum.clamped)
+        } else if self.is_exact {
+            // Tangent planes of a curved surface meet as far outside of it as the mean of the crossings lies inside.
+            (0.5 * (planes.mean().clamp(lower, upper) + planes.minimum(lower, upper).point), false)
         } else {
             (self.on_trilinear(cell, planes.mean().clamp(lower, upper), lower, upper), false)
         };

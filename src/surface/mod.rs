@@ -21,6 +21,10 @@
 //! are moved apart ([`separate`]), so files without indices keep the two-manifold. They stay equal far from the origin,
 //! where float32 is coarser than 1/512 of a voxel.
 //!
+//! Faces of different quadrilaterals may still pass through each other, in thin walls and beside vertices outside their
+//! cells. [`untangle`] finds them by exact predicates, and [`division`] divides their quadrilaterals so that their faces
+//! stay in the cells. The mesh therefore never crosses itself.
+//!
 //! # Practice
 //!
 //! Call [`LevelSurface::of_field`] or [`SurfaceBlocks::surface`], then [`LevelSurface::crossings`]. A source may
@@ -62,7 +66,7 @@ pub const MARGIN: f64 = 1.0 / 1024.0;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MeshOptions {
     /// Whether vertices minimise the distance to the tangent planes; else they are the means of the crossings, moved
-    /// onto the trilinear surface.
+    /// onto the surface.
     pub sharp: bool,
     /// Whether a surface that leaves the box is closed by the faces of the box; else it ends there.
     pub capped: bool,
@@ -76,6 +80,8 @@ pub struct LevelSurface {
     spacing: DVec3,
     /// Lower and upper corner of the box of the vertices: the box of the grid, or the part of it around the solid.
     within: [DVec3; 2],
+    /// Whether the crossings and their planes come from the source of the field, and not from its samples.
+    is_exact: bool,
     cells: SurfaceCells,
     links: PatchLinks,
 }
@@ -142,7 +148,12 @@ impl LevelSurface {
     fn new(grid: &Grid, cells: SurfaceCells) -> Self {
         let links = PatchLinks::new(&cells);
         let within = [grid.lower, grid.upper];
-        Self { lower: grid.lower, upper: grid.upper, spacing: grid.spacing(), within, cells, links }
+        Self { lower: grid.lower, upper: grid.upper, spacing: grid.spacing(), within, is_exact: false, cells, links }
+    }
+
+    /// States that the crossings are roots of the source of the field, with its tangent planes.
+    pub fn set_exact(&mut self) {
+        self.is_exact = true;
     }
 
     /// Keeps all vertices in a box around the solid, world units.

@@ -289,3 +289,51 @@ fn a_vertex_counts_as_clamped_once() {
         assert!(mesh.clamped <= elsewhere, "seed {seed}: {} clamped, {elsewhere} elsewhere", mesh.clamped);
     }
 }
+
+/// Number of pairs of faces that cross, by brute force.
+fn crossing_pairs(mesh: &SurfaceMesh) -> usize {
+    let triangles: Vec<[DVec3; 3]> = mesh.faces.iter().map(|face| face.map(|i| mesh.vertices[i as usize])).collect();
+    let boxes: Vec<[DVec3; 2]> = triangles.iter().map(|[a, b, c]| [a.min(*b).min(*c), a.max(*b).max(*c)]).collect();
+    let pairs = (0..triangles.len()).flat_map(|i| (0..i).map(move |j| (i, j)));
+    pairs
+        .filter(|&(i, j)| {
+            let common = mesh.faces[i].iter().filter(|vertex| mesh.faces[j].contains(vertex)).count();
+            boxes[i][0].cmple(boxes[j][1]).all()
+                && boxes[j][0].cmple(boxes[i][1]).all()
+                && common < 2
+                && crate::geometry::triangles_cross(triangles[i], triangles[j])
+        })
+        .count()
+}
+
+#[test]
+fn faces_do_not_cross_in_noise() {
+    let mut random = crate::mesh::random::uniform(3);
+    for case in 0..40 {
+        let grid = Grid::new(DVec3::ZERO, DVec3::new(1.0, 2.0, 3.0), [6, 7, 5]).unwrap();
+        let values: Vec<f32> = (0..grid.len()).map(|_| random() as f32 - 0.5).collect();
+        for options in [SHARP, SMOOTH] {
+            let mesh = mesh_of(grid, &values, 0.0, options);
+            assert_two_manifold(&mesh);
+            assert_eq!(crossing_pairs(&mesh), 0, "case {case}, {options:?}");
+        }
+    }
+}
+
+#[test]
+fn faces_do_not_cross_in_thin_curved_walls() {
+    // Walls of 1.2 voxels about a gyroid with a period of 7 voxels, with planes that meet outside the cells.
+    let grid = Grid::new(DVec3::splat(-1.0), DVec3::splat(1.0), [18; 3]).unwrap();
+    let frequency = 2.0 * PI / (7.0 * grid.spacing().x);
+    let field = |p: DVec3| {
+        let [x, y, z] = (p * frequency).to_array();
+        let value = x.sin() * y.cos() + y.sin() * z.cos() + z.sin() * x.cos();
+        (value.abs() / (frequency * 3f64.sqrt()) - 0.6 * grid.spacing().x).max(p.length() - 0.9)
+    };
+    for options in [SHARP, SMOOTH] {
+        let mesh = mesh_of(grid, &fill(&grid, field), 0.0, options);
+        assert_two_manifold(&mesh);
+        assert!(mesh.faces.len() > 1000);
+        assert_eq!(crossing_pairs(&mesh), 0, "{options:?}");
+    }
+}

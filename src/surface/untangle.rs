@@ -48,7 +48,6 @@ impl LevelSurface {
     pub(super) fn untangle(
         &self,
         vertices: &mut [DVec3],
-        is_clamped: &[bool],
         quads: &mut [Quad],
         crossings: &[Crossing],
         extra: &ExtraPlanes,
@@ -61,16 +60,6 @@ impl LevelSurface {
             let tangle =
                 Tangle { surface: self, vertices, quads, crossings, division: &division, is_changed: &is_changed };
             let mut patches = tangle.crossing_patches(progress)?;
-            if division.is_empty()
-                && let Ok(word) = std::env::var("FB_DIVIDE")
-            {
-                patches.extend(
-                    (0..self.cells.patch_count() as u32)
-                        .filter(|&id| word == "all" || (word == "clamped") && is_clamped[id as usize]),
-                );
-                patches.sort_unstable();
-                patches.dedup();
-            }
             patches.retain(|&patch| !division.contains(patch));
             if patches.is_empty() {
                 return Ok(division);

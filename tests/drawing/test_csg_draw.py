@@ -187,7 +187,7 @@ def check_edits(gpu):
     edited = after[1]
 
     # Another tree: drawn at once by the interpreter, then by one more kernel.
-    first, compiled = draw_until_compiled(blend(0.8, 0.3).shell(0.05), gpu)
+    first, compiled = draw_until_compiled(blend(0.8, 0.3)._changed("shell", 0.05), gpu)
     assert not first.report["compiled"]
     assert compiled.report["compiled"]
     assert compiled.report["pipelines"] == edited.report["pipelines"] + 1

@@ -423,7 +423,10 @@ def test_shaders_share_a_text_and_differ_in_numbers():
 @pytest.mark.parametrize("solid", truth.SOLIDS, ids=lambda solid: solid.name)
 def test_every_primitive_has_a_shader(solid):
     # Translating it parses and validates it.
-    changed = solid.shape.twist(per_unit_deg=20).offset(0.1).mirror("x").union(~solid.shape.shell(0.1), k=0.1)
+    text = solid.shape.to_sexpr()
+    text = f"(blend union 0.1 (mirror 1 0 0 (flate 0.1 (twist 20 {text}))) (not (shell 0.1 {text})))"
+    with pytest.warns(fb.SurfaceWarning, match="flate, shell or blend"):
+        changed = fb.csg.parse(text)
     assert "main" in changed.shader("msl")
 
 

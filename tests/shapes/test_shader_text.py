@@ -23,7 +23,7 @@ def shapes() -> dict[str, fb.Shape]:
         "leaf": fb.sphere(1),
         "solid": (box | tube.rotate("x", 90)) - fb.torus(1, 0.2) & fb.sphere(4),
         "smooth": fb.Shape.union(box, fb.sphere(1).translate((1, 0, 0)), k=0.2),
-        "warped": box.twist(per_unit_deg=30).shell(0.1) | fb.ellipsoid((1, 0.5, 0.3)),
+        "warped": box.shell(0.1).twist(per_unit_deg=30) | fb.ellipsoid((1, 0.5, 0.3)),
         "flat": fb.polygon(corners).extrude(1),
         "repeated": fb.capsule(0.1, 0.3).repeat((0.6, 0.7, 0.8), (3, 2, 4)) | fb.cone(0.2, 0.6).circular_array(5, 1.4),
     }

@@ -87,14 +87,13 @@ def test_a_callable_may_use_the_package() -> None:
 
 
 def test_a_wall_below_a_voxel_is_a_warning() -> None:
-    """The voxel is 2 / 38: a wall of half of it has faces that cross, and a wall of two voxels has none."""
+    """The voxel is 2 / 38: a wall of half of it may have holes, and faces that cross are divided."""
     ball = fb.sphere().to_mesh(64)
     with pytest.warns(fb.SurfaceWarning) as caught:
         shell = fb.shell(ball, 0.03, 40)
-    assert shell.report.self_intersections > 0
+    assert shell.report.self_intersections == 0
     text = str(caught[0].message)
-    assert "the wall of 0.03 is thinner than a voxel (0.0526)" in text
-    assert f"the result has {shell.report.self_intersections:,} self-intersections" in text
+    assert "the wall of 0.03 is thinner than a voxel (0.0526), so it may have holes; raise the resolution" in text
     assert caught[0].filename == __file__
     with warnings.catch_warnings():
         warnings.simplefilter("error", fb.SurfaceWarning)

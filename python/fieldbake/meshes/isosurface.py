@@ -191,9 +191,12 @@ def extract(
     """Extract the mesh of a level set; see :meth:`fieldbake.Volume.to_mesh`. Its report has the `warnings`."""
     sharp, capped = checks.flag("sharp", sharp), checks.flag("capped", capped)
     warn_surface(warnings)
-    if sharp and source is not None:
-        with part(0.0, 0.6):
+    with part(0.0, 0.6):
+        if sharp and source is not None:
             source.apply(surface, level)
+        elif isinstance(source, ShapeSource):
+            # The crossings are roots of the field; linear interpolation of its samples misses those of thin walls.
+            surface.use_shape(source.shape, level, sharp=False)
     with part(0.6, 1.0):
         vertices, faces, clamped = surface.mesh(sharp=sharp, capped=capped)
     return Mesh._extracted(vertices, faces, SurfaceReport(clamped_vertices=clamped, warnings=warnings))

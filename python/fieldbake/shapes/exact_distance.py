@@ -72,10 +72,8 @@ def _box(core: _core.Shape, name: str) -> NDArray[np.float64]:
     try:
         return np.array(core.bounds())
     except ShapeError as error:
-        raise ShapeError(
-            f"{name}: the field is no distance, and a bake of the distance needs bounds: {error}; intersect it with a "
-            "bounded shape first"
-        ) from None
+        problem = "the field is no distance, and a bake of the distance needs bounds"
+        raise ShapeError(f"{name}: {problem}: {error}") from None
 
 
 def _grid(box: NDArray[np.float64], reach: float, resolution: int) -> Grid:

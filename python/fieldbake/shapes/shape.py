@@ -756,7 +756,7 @@ def _joint_box(op: str, operands: list[CoreShape], width: float) -> NDArray[np.f
     except ShapeError as error:
         raise ShapeError(
             f"{op}: a smooth or chamfered joint bakes the distance of operands whose field is scaled, which needs "
-            f"bounds: {error}; intersect it with a bounded shape first"
+            f"bounds: {error}"
         ) from None
 
 

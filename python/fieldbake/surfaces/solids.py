@@ -414,8 +414,8 @@ def _extracted(
     warnings = []
     if wall < report.voxel_size:
         warnings.append(
-            f"the wall of {wall:g} is thinner than a voxel ({report.voxel_size:.3g}), so it may have holes and faces "
-            "that cross; raise the resolution"
+            f"the wall of {wall:g} is thinner than a voxel ({report.voxel_size:.3g}), so it may have holes; raise the "
+            "resolution"
         )
     with part(0.9, 1.0):
         if report.self_intersections:
