@@ -60,7 +60,8 @@ def problems(mesh):
         found.append(f"{crossings} pairs of faces cross")
     if open3d is not None:
         shown = open3d.geometry.TriangleMesh(
-            open3d.utility.Vector3dVector(mesh.vertices), open3d.utility.Vector3iVector(mesh.faces)
+            open3d.utility.Vector3dVector(mesh.vertices.copy()),
+            open3d.utility.Vector3iVector(mesh.faces.astype(np.int32)),
         )
         crossings = len(np.asarray(shown.get_self_intersecting_triangles()))
         if crossings:
@@ -221,14 +222,16 @@ def check_offset(census, seed):
     kind = ("twist", "bend", "elongate", "repeat", "sheet", "times", "xor", "smooth", "chamfer", "sharp")[seed % 10]
     made, distance = operand(seed), float(random.choice([-0.05, 0.04, 0.1, 0.2]))
     try:
-        mesh = made.offset(distance).to_mesh(128)
+        grown = made.offset(distance)
+        mesh = grown.to_mesh(128)
     except fb.ShapeError as error:
         census.count(kind, str(seed), "refused", str(error))
         return
     if not len(mesh.faces):
         census.count(kind, str(seed), "empty")
         return
-    points = fb.sample_surface(mesh, 4000, seed=seed).points
+    # The error of the mesh is that of `to_mesh`, so the level set itself is compared.
+    points = on_surface(grown, fb.sample_surface(mesh, 4000, seed=seed).points)
     voxel = float(np.ptp(made.bounds, axis=0).max()) / 128
     found, is_smooth = distances_from(made, points, voxel)
     bound = max(OFFSET_VOXELS * voxel, OFFSET_SHARE * abs(distance))
@@ -243,29 +246,35 @@ def check_offset(census, seed):
 
 
 def distances_from(solid, points, voxel):
-    """Distances of points from the surface of a shape, and whether each nearest point lies on no edge.
+    """Distances of points from the surface of a shape, and whether the nearest point lies on no edge and is unique.
 
     The nearest point of a fine mesh is moved along the surface until the line to the point is normal to it.
     """
     fine = solid.to_mesh(256)
-    nearest = fb.closest_point(fine, points).points
+    nearest = fb.closest_point(fine, points)
+    start, rough = nearest.points, nearest.distances
+    feet = start
     for _ in range(8):
-        nearest = on_surface(solid, nearest)
-        normals = unit(solid.gradient(nearest).astype(np.float64))
-        away = points - nearest
-        along = away - np.einsum("ij,ij->i", away, normals)[:, None] * normals
+        feet = on_surface(solid, feet)
+        normals = unit(solid.gradient(feet).astype(np.float64))
+        away = points - feet
         # A share of the way, since curvature may carry a full step too far.
-        nearest = nearest + 0.5 * along
-    nearest = on_surface(solid, nearest)
-    is_smooth = np.ones(len(points), dtype=bool)
-    normals = unit(solid.gradient(nearest).astype(np.float64))
+        feet = feet + 0.5 * (away - np.einsum("ij,ij->i", away, normals)[:, None] * normals)
+    feet = on_surface(solid, feet)
+    away = points - feet
+    found = np.linalg.norm(away, axis=1)
+    # The search stays on the part of the surface that the mesh has found.
+    is_kept = np.abs(found - rough) <= 0.5 * voxel
+    normals = unit(solid.gradient(feet).astype(np.float64))
+    is_smooth = np.abs(np.einsum("ij,ij->i", unit(away), normals)) > 0.999
     for step in np.concatenate([np.eye(3), -np.eye(3)]) * 1.5 * voxel:
-        other = unit(solid.gradient(on_surface(solid, nearest + step)).astype(np.float64))
+        other = unit(solid.gradient(on_surface(solid, feet + step)).astype(np.float64))
         is_smooth &= np.einsum("ij,ij->i", normals, other) > np.cos(np.radians(25))
-    away = np.linalg.norm(points - nearest, axis=1)
-    # The foot of the normal of a smooth point is the nearest point.
-    is_normal = np.abs(np.einsum("ij,ij->i", unit(points - nearest), normals)) > 0.999
-    return away, is_smooth & is_normal
+        # Beside the medial surface, neighbours of the point have nearest points on another part.
+        moved = points + step
+        towards = unit(moved - fb.closest_point(fine, moved).points)
+        is_smooth &= np.einsum("ij,ij->i", unit(points - start), towards) > np.cos(np.radians(40))
+    return np.where(is_kept, found, rough), is_smooth & is_kept
 
 
 def on_surface(solid, points):
@@ -273,8 +282,16 @@ def on_surface(solid, points):
     for _ in range(6):
         slopes = solid.gradient(points).astype(np.float64)
         square = np.maximum(np.einsum("ij,ij->i", slopes, slopes), 1e-6)
-        points = points - slopes * (solid.distance(points, dtype="float64") / square)[:, None]
+        points = points - slopes * (values(solid, points) / square)[:, None]
     return points
+
+
+def values(solid, points):
+    """The field in float64; volumes have float32 samples."""
+    try:
+        return solid.distance(points, dtype="float64")
+    except fb.ShapeError:
+        return solid.distance(points).astype(np.float64)
 
 
 def unit(vectors):
