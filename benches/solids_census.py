@@ -230,7 +230,7 @@ def check_offset(census, seed):
     if not len(mesh.faces):
         census.count(kind, str(seed), "empty")
         return
-    # The error of the mesh is that of `to_mesh`, so the level set itself is compared.
+    # The mesh has an error of its own, so the level set itself is compared.
     points = on_surface(grown, fb.sample_surface(mesh, 4000, seed=seed).points)
     voxel = float(np.ptp(made.bounds, axis=0).max()) / 128
     found, is_smooth = distances_from(made, points, voxel)

@@ -105,8 +105,8 @@ impl Surface {
         )
     }
 
-    /// Uses the crossings and the tangent planes of the level set of a shape, and joins those around all vertices if the
-    /// mesh is to be `sharp`.
+    /// Uses the crossings and the tangent planes of the level set of a shape. Joins the planes around all vertices too
+    /// if the mesh is to be `sharp`.
     #[pyo3(signature = (shape, level, *, sharp=true))]
     fn use_shape(&self, py: Python<'_>, shape: PyRef<'_, Shape>, level: f64, sharp: bool) -> PyResult<()> {
         let solid = shape.solid(py)?;

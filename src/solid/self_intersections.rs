@@ -1,8 +1,8 @@
 //! Pairs of faces that intersect.
 //!
 //! Two triangles cross where an edge of one passes through the inside of the other ([`triangles_cross`]). Faces with a
-//! common edge are excluded, since they touch there by construction. Faces that only touch, and overlapping faces in one
-//! plane, do not count.
+//! common edge are excluded, since they touch there by construction. Faces that only touch, and overlapping faces in
+//! one plane, do not count.
 
 use crate::bvh::BOX_ROUNDING;
 use crate::bvh::boxes::round_down;

@@ -137,17 +137,8 @@ impl LevelSurface {
     pub(super) fn mesh(&self, crossings: &[Crossing], extra: &ExtraPlanes, options: MeshOptions) -> SurfaceMesh {
         let (mut vertices, mut quads) = self.settled(crossings, extra, options);
         let progress = Progress::new();
-        let division = self
-            .untangle(
-                &mut vertices.places,
-                &vertices.is_clamped,
-                &mut quads,
-                crossings,
-                extra,
-                options.sharp,
-                &progress,
-            )
-            .unwrap();
+        let division =
+            self.untangle(&mut vertices.places, &mut quads, crossings, extra, options.sharp, &progress).unwrap();
         let is_open = if options.capped { Vec::new() } else { on_box(crossings) };
         self.divided_mesh(vertices, &quads, crossings, &division, &is_open)
     }

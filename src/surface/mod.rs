@@ -21,9 +21,9 @@
 //! are moved apart ([`separate`]), so files without indices keep the two-manifold. They stay equal far from the origin,
 //! where float32 is coarser than 1/512 of a voxel.
 //!
-//! Faces of different quadrilaterals may still pass through each other, in thin walls and beside vertices outside their
-//! cells. [`untangle`] finds them by exact predicates, and [`division`] divides their quadrilaterals so that their faces
-//! stay in the cells. The mesh therefore never crosses itself.
+//! Faces of different quadrilaterals may still pass through each other, in thin walls and beside vertices outside
+//! their cells. [`untangle`] finds them by exact predicates, and [`division`] divides their quadrilaterals so that
+//! their faces stay in the cells. The mesh therefore never crosses itself.
 //!
 //! # Practice
 //!

@@ -1,10 +1,10 @@
 //! The search for faces that pass through each other, and the division of their quadrilaterals until none do.
 //!
 //! A quadrilateral whose corners lie in the four cells around its edge stays in these cells. If two such quadrilaterals
-//! cross in a cell with one patch, both have this patch as a corner. The quadrilaterals at a patch do not cross if, seen
-//! along the mean of their normals, each lies in its own wedge around the vertex of the patch, which is tested first.
-//! All other pairs are compared by exact orientations ([`triangles_cross`]): those at the patches of one cell, and those
-//! of a quadrilateral with a corner outside its cell and the quadrilaterals in the cells that its box overlaps.
+//! cross in a cell with one patch, both have this patch as a corner. The quadrilaterals at a patch are a *star*, and do
+//! not cross, if each lies in its own wedge around the vertex of the patch, seen along the mean of their normals. All
+//! other pairs are compared by exact orientations ([`triangles_cross`]): pairs at the patches of one cell, and pairs of
+//! a quadrilateral with a corner outside its cell and a quadrilateral in the cells that its box overlaps.
 //!
 //! Where a pair crosses, the patches at its corners are divided ([`super::division`]). Division changes the
 //! quadrilaterals around, so these are compared again. Each round divides at least one patch, and divided patches do
@@ -91,11 +91,14 @@ impl Tangle<'_> {
     /// The patches at the corners of triangles that cross another one, sorted.
     fn crossing_patches(&self, progress: &Progress) -> Result<Vec<u32>, Error> {
         let cells = self.surface.cells.cells();
+        let patches = (0..self.surface.cells.patch_count() as u32).into_par_iter();
+        let is_star: Vec<bool> = patches.map(|patch| self.is_star(patch)).collect();
         let in_cells = cells.par_chunks(CHUNK).map(|cells| {
             let (mut found, mut edges, mut triangles) = (Vec::new(), Vec::new(), Vec::new());
             for cell in cells {
                 let count = cell.patches().count() as u32;
-                let is_known = count == 1 && self.is_star(cell.first_patch);
+                let first = cell.first_patch;
+                let is_known = count == 1 && (is_star[first as usize] || self.division.contains(first));
                 if !is_known {
                     edges.clear();
                     let patches = cell.first_patch..cell.first_patch + count;
@@ -124,24 +127,24 @@ impl Tangle<'_> {
         let outside: Vec<u32> = outside.into_iter().filter(|&edge| is_near(edge)).collect();
         let beyond = outside.par_chunks(CHUNK).map(|edges| {
             let (mut found, mut others) = (Vec::new(), Vec::new());
-            edges.iter().for_each(|&edge| self.compare_around(edge, &extents, &mut others, &mut found));
+            edges.iter().for_each(|&edge| self.compare_around(edge, &extents, &is_star, &mut others, &mut found));
             progress.check()?;
             Ok(found)
         });
         let mut found = in_cells.chain(beyond).collect::<Result<Vec<_>, Error>>()?.concat();
-        self.compare_outside(&outside, &extents, &mut found);
+        self.compare_outside(&outside, &extents, &is_star, &mut found);
         found.sort_unstable();
         found.dedup();
         Ok(found)
     }
 
-    /// Whether the quadrilaterals at the only patch of a cell lie in disjoint wedges around its vertex, seen along the
-    /// mean of their normals, or have been compared, or stay in their cells by division.
+    /// Whether the quadrilaterals at a patch are a star. They may be one that is not found, where some are divided or
+    /// none has changed.
     fn is_star(&self, patch: u32) -> bool {
         let links = &self.surface.links;
         let edges = links.edges_of(patch);
         if self.division.contains(patch) || !edges.iter().any(|&edge| self.is_changed[edge as usize]) {
-            return true;
+            return false;
         }
         let center = self.vertices[patch as usize];
         // The other corners of each quadrilateral, counter-clockwise from the patch.
@@ -231,7 +234,14 @@ impl Tangle<'_> {
 
     /// Compares a quadrilateral with the quadrilaterals at the patches of the cells that its box overlaps. `others` is
     /// a buffer.
-    fn compare_around(&self, edge: u32, extents: &[Extent], others: &mut Vec<u32>, found: &mut Vec<u32>) {
+    fn compare_around(
+        &self,
+        edge: u32,
+        extents: &[Extent],
+        is_star: &[bool],
+        others: &mut Vec<u32>,
+        found: &mut Vec<u32>,
+    ) {
         let surface = self.surface;
         let extent = extents[edge as usize];
         let [lower, upper] = extent.map(|place| surface.cell_at(place));
@@ -239,6 +249,7 @@ impl Tangle<'_> {
             other != edge
                 && (self.is_changed[edge as usize] || self.is_changed[other as usize])
                 && overlap(extent, extents[other as usize])
+                && !self.are_in_one_star(edge, other, is_star)
         };
         others.clear();
         for cell in indices(lower, upper).filter_map(|index| surface.cells.find(index.to_array())) {
@@ -252,8 +263,15 @@ impl Tangle<'_> {
         }
     }
 
+    /// Whether two quadrilaterals have a common patch whose quadrilaterals are a star, so that they do not cross.
+    fn are_in_one_star(&self, first: u32, second: u32, is_star: &[bool]) -> bool {
+        let around = self.surface.links.patches_around(second);
+        let own = self.surface.links.patches_around(first);
+        own.iter().any(|patch| is_star[*patch as usize] && around.contains(patch))
+    }
+
     /// Compares quadrilaterals with corners outside their cells with each other.
-    fn compare_outside(&self, edges: &[u32], extents: &[Extent], found: &mut Vec<u32>) {
+    fn compare_outside(&self, edges: &[u32], extents: &[Extent], is_star: &[bool], found: &mut Vec<u32>) {
         let mut entries: Vec<([i32; 3], u32)> = Vec::with_capacity(8 * edges.len());
         for &edge in edges {
             let [lower, upper] = extents[edge as usize].map(|place| self.surface.cell_at(place));
@@ -264,7 +282,10 @@ impl Tangle<'_> {
         for group in entries.chunk_by(|a, b| a.0 == b.0) {
             for (i, &(_, first)) in group.iter().enumerate() {
                 let others = group[..i].iter().map(|entry| entry.1);
-                let overlapping = others.filter(|&other| overlap(extents[first as usize], extents[other as usize]));
+                let overlapping = others.filter(|&other| {
+                    overlap(extents[first as usize], extents[other as usize])
+                        && !self.are_in_one_star(first, other, is_star)
+                });
                 pairs.extend(overlapping.map(|other| (first, other)));
             }
         }

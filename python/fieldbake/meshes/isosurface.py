@@ -195,7 +195,7 @@ def extract(
         if sharp and source is not None:
             source.apply(surface, level)
         elif isinstance(source, ShapeSource):
-            # The crossings are roots of the field; linear interpolation of its samples misses those of thin walls.
+            # The crossings are roots of the field; linear interpolation of its samples misses the roots of thin walls.
             surface.use_shape(source.shape, level, sharp=False)
     with part(0.6, 1.0):
         vertices, faces, clamped = surface.mesh(sharp=sharp, capped=capped)

@@ -35,8 +35,8 @@ def distance_leaf(
 ) -> _core.Shape:
     """Bake the signed distance from the surface of a shape.
 
-    The contour of the shape is extracted with sharp edges. The distance at each voxel is that of the nearest point of
-    the contour, in float64, and the leaf interpolates it linearly.
+    The contour of the shape is extracted with sharp edges. Each voxel has the distance to the nearest point of the
+    contour, computed in float64, and the leaf interpolates it linearly.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def distance_leaf(
     resolution : int
         Voxels along the longest side of the box of the shape.
     bounds : (2, 3) array, optional
-        Box of the part of the surface that matters, world units; the default is the box of the shape.
+        Box around the part of the surface to bake, world units; the default is the box of the shape.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def distance_leaf(
         raise ShapeError(f"{name}: the shape has no surface at {resolution} voxels; raise resolution=")
     distances, _ = _core.bake(mesh._core, grid.lower, grid.upper, grid.shape, device="cpu")
     voxel = max(grid.spacing)
-    error = INTERPOLATION * voxel + _contour_error(core, mesh.vertices, mesh.faces, voxel)
+    error = INTERPOLATION * voxel + _contour_error(core, mesh.vertices, mesh.faces.astype(np.int64), voxel)
     return _core.Shape.volume(np.asarray(distances), grid.lower, grid.upper, error)
 
 
@@ -94,7 +94,7 @@ def _contour_error(core: _core.Shape, vertices: NDArray[np.float64], faces: NDAr
 
     It is at most the diagonal of a voxel, because the surface passes through every cell of the contour.
     """
-    chosen = faces[:: max(1, len(faces) // FACES)].astype(np.int64)
+    chosen = faces[:: max(1, len(faces) // FACES)]
     points = vertices[chosen].mean(axis=1)
     slopes = np.linalg.norm(core.gradient(points), axis=1)
     found = np.abs(core.distance(points, "cpu")) / np.maximum(slopes, 1e-6)

@@ -1,7 +1,7 @@
 //! How near the field of a tree is to the distance from its surface.
 //!
-//! An offset shifts the field, and a joint compares the fields of its operands. Both are in world units if the field has
-//! the slope of a distance. [`FieldKind`] follows from the operators alone, from the leaves to the root.
+//! An offset shifts the field, and a joint compares the fields of its operands. Both are in world units if the field
+//! has the slope of a distance. [`FieldKind`] follows from the operators alone, from the leaves to the root.
 
 use super::primitive::Primitive;
 use super::shape::{Blend, Kind, Op, Shape};
@@ -9,8 +9,8 @@ use super::shape::{Blend, Kind, Op, Shape};
 /// Relation of a field to the distance from its zero level set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum FieldKind {
-    /// The field is the distance at points whose nearest surface point lies on no edge. Level sets are offsets, and keep
-    /// the edges of joints.
+    /// The field is the distance at points whose nearest surface point lies on no edge. Level sets are offsets, and
+    /// keep the edges of joints.
     Distance,
     /// As a distance, but for fillets, chamfers and samples of a grid, near which the slope is smaller.
     Joint,
@@ -31,7 +31,7 @@ impl FieldKind {
     fn of_primitive(primitive: &Primitive) -> Self {
         match primitive {
             Primitive::Volume(_) => Self::Joint,
-            // A union of bars, and a tube that intersects itself: their surfaces are those of exact fields.
+            // A union of bars, and a tube that intersects itself: their faces belong to exact fields.
             Primitive::BoxFrame { .. } | Primitive::Torus { .. } => Self::Distance,
             _ if primitive.is_exact() => Self::Distance,
             _ => Self::Scaled,
@@ -74,8 +74,8 @@ impl FieldKind {
         }
     }
 
-    /// Whether a node shifts or compares fields whose slope is not that of a distance, so that its size is not in world
-    /// units.
+    /// Whether a node shifts or compares fields that do not have the slope of a distance, so that its size is not in
+    /// world units.
     pub(super) fn is_misused(kind: &Kind, children: &[Shape]) -> bool {
         let worst = children.iter().map(Shape::field_kind).max().unwrap_or(Self::Distance);
         match kind {
