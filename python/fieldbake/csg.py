@@ -247,8 +247,10 @@ def parse(text: str) -> Shape:
     ``(cylinder d h)``, ``(cone d h)``, ``(coninder low high h)``, ``(plane nx ny nz)``. Every other primitive has its
     Python name with hyphens and its Python arguments in order, with diameters in place of radii:
     ``(rounded-box x y z r)``, ``(capped-torus outer tube degrees)``, ``(hex-prism d h)``. The radius of a rounded edge
-    stays a radius. Profiles: ``(extrude h PROFILE)`` and ``(revolve offset PROFILE)`` with ``(circle d)``,
-    ``(rectangle w h)`` or ``(polygon x y x y ...)``. The error for a wrong count of numbers states the right form.
+    stays a radius. Threads: ``(iso-thread d pitch offset)`` and ``(trapezoidal-thread d pitch offset)``. Profiles:
+    ``(extrude h PROFILE)``, ``(extrude h taper chamfer chamfer PROFILE)`` and ``(revolve offset PROFILE)`` with
+    ``(circle d)``, ``(rectangle w h)``, ``(polygon x y x y ...)`` or ``(polygons POLYGON ...)``. The error for a wrong
+    count of numbers states the right form.
 
     Operators: ``union``, ``inter``, ``diff``, ``xor``; ``(blend union k a b ...)`` and ``(chamfer union k a b ...)``.
     Modifiers: ``move``, ``move-x``, ``rotate`` (a quaternion x y z w), ``rotate-x``, ``scale``, ``flate`` (offset),

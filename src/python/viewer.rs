@@ -12,8 +12,8 @@ use pyo3::prelude::*;
 type ShapeRow<'py> = (u32, Bound<'py, PyArray1<f32>>, [f64; 3], f64, f64);
 
 /// The fragment shader of rays, then the vertex and the fragment shader of meshes if the view has any; and one entry
-/// for each shape. `kinds`: whether the view has dense fields, sparse fields, quadrics and triangles of meshes. `frame`:
-/// centre and scale of the local frame of all shapes; by default each has its own.
+/// for each shape. `kinds`: whether the view has dense fields, sparse fields, quadrics and triangles of meshes.
+/// `frame`: centre and scale of the local frame of all shapes; by default each has its own.
 #[pyfunction]
 #[pyo3(signature = (language, kinds, encoding, shapes, frame=None))]
 pub(super) fn viewer_shader<'py>(

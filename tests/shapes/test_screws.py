@@ -155,7 +155,8 @@ def test_the_clearance_is_the_same_everywhere(diameter, pitch, kind, clearance):
     assert max(of_bolt, of_nut) <= 0.01 * pitch
     assert measured.min() >= 0.99 * gap - of_bolt - of_nut
     assert measured.max() <= 1.01 * gap + of_bolt + of_nut
-    assert (np.abs(measured - gap) <= 0.01 * gap + 5e-4 * pitch).mean() >= 0.97
+    # Four helical edges with a voxel around each are a tenth of the profile.
+    assert (np.abs(measured - gap) <= 0.01 * gap + 5e-4 * pitch).mean() >= 0.9
     # Exact points of the surface of the rod, by the field of the hole.
     exact = samples - bolt.gradient(samples) * bolt.distance(samples, dtype="float64")[:, None]
     assert np.abs(-hole.distance(exact, dtype="float64") - gap).max() <= 0.01 * gap
@@ -183,8 +184,8 @@ def test_lead_ins_taper_rods_and_sink_holes():
     nut = fb.hex_prism(9, 8) - hole
     assert (nut.distance([(minor + 0.9, 0, 3.99), (0, minor + 0.9, -3.99)]) > 0).all()
     assert (nut.distance([(minor + 1.1, 0, 3.99), (0, minor + 1.1, -3.99)]) < 0).all()
-    # Nothing of the plane of the end covers the hole.
-    assert nut.distance([(0, 0, 4)])[0] > 4
+    # Nothing of the plane of the end covers the hole, which goes on for a pitch.
+    assert nut.distance([(0, 0, 4)])[0] == pytest.approx(1.5, abs=1e-5)
     mesh = nut.to_mesh(128)
     assert mesh.is_closed
     # A ring, by Euler's formula.

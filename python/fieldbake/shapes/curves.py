@@ -33,8 +33,8 @@ def circle_points(radius: float) -> Array:
 def bezier_points(controls: Sequence[ArrayLike], tolerance: float) -> Array:
     """A polyline along a Bezier curve of degree 2 or 3, without its first point, (n, 2).
 
-    The polyline has the ends of the curve. The signed area between it and the chord is that of the curve: its inner
-    corners lie beside the curve by the same distance, along the normals. The distance from the curve is at most
+    The polyline has the ends of the curve. The signed area between it and the chord equals the area of the curve: its
+    inner corners lie beside the curve by the same distance, along the normals. The distance from the curve is at most
     `tolerance`. The chords of a curve cut into n pieces are within ``max |B''| / (8 n^2)`` of it.
     """
     points = np.array(controls, dtype=np.float64)

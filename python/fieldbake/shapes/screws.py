@@ -9,7 +9,7 @@ from .. import _core
 from ..base import checks
 from ..base.errors import ShapeError
 from .arguments import number
-from .primitives import cone, slab
+from .primitives import cone, cylinder, slab
 from .profiles import polygon, revolve
 from .shape import Shape
 
@@ -91,19 +91,20 @@ def thread(
     tall = number("length", length)
     if not tall > 0:
         raise ShapeError(f"length: must be above 0, got {tall:g}")
+    crest = 0.5 * wide + moved
     if not lead:
-        return rod & slab(tall)
+        return rod & cylinder(crest, tall)
     if is_hole:
         radius = 0.5 * wide - DEPTHS[kind] * turn + lead + moved
         # The cone ends one pitch beyond the end plane, where it is wider by one pitch.
         sink = cone(radius + turn, radius + turn).translate((0.0, 0.0, 0.5 * (radius - turn - tall)))
         sinks = sink | sink.reflect("z")
-        return (rod & slab(tall)) | (sinks & slab(tall + 2 * turn))
-    end = 0.5 * wide + moved - lead
+        return (rod & cylinder(crest, tall)) | (sinks & slab(tall + 2 * turn))
+    end = crest - lead
     if not end > 0:
         raise ShapeError(f"lead_in: must be below half the diameter, got {lead:g}")
-    # A cylinder outside the thread with chamfers, which meet in the middle of a short rod.
-    outer = min(0.5 * wide + 0.25 * turn, end + 0.5 * tall)
+    # The cylinder around the crests with chamfers, which meet in the middle of a short rod.
+    outer = min(crest, end + 0.5 * tall)
     flat = 0.5 * tall - (outer - end)
     half = [(0.0, 0.5 * tall), (end, 0.5 * tall), (outer, flat)]
     corners = [(x, -z) for x, z in half] + ([] if flat == 0 else [(outer, flat)]) + half[1::-1]

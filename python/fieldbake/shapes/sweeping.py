@@ -171,7 +171,7 @@ def _frames(along: Array) -> list[Array]:
 
 def _placed(shape: Shape, frame: Array, origin: Array) -> Shape:
     """A shape in a frame: its rotation about an axis, then its translation."""
-    # The quaternion of the rotation, from its largest component (S. Shepperd, 1978).
+    # The quaternion of the rotation, from its largest component, so that nothing cancels.
     trace = float(np.trace(frame))
     squares = [trace, *np.diag(frame).tolist()]
     largest = int(np.argmax(squares))

@@ -137,8 +137,8 @@ pub(crate) fn cone<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     if side[0] < zero && cap[1] < zero { -distance } else { distance }
 }
 
-/// The nearest of the lower ball, the upper ball and the side. The normals of the side through the two centres separate
-/// these regions, so the distance is exact inside too.
+/// The nearest of the lower ball, the upper ball and the side. The normals of the side through the two centres
+/// separate these regions, so the distance is exact inside too.
 #[inline(always)]
 pub(crate) fn rounded_cone<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let [low, high, base, height, cos, sin] = *p;
@@ -282,7 +282,7 @@ pub(crate) fn polygon<F: Scalar>(x: F, y: F, flat: &FlatPolygon<F>) -> F {
         let to = [x - ax, y - ay];
         let squared = along[0] * along[0] + along[1] * along[1];
         let share = (to[0] * along[0] + to[1] * along[1]) / squared;
-        let (away, normal, length) = if !(share > zero) {
+        let (away, normal, length) = if share <= zero {
             (to, [px, py], zero)
         } else if share < F::of(1.0) {
             ([to[0] - share * along[0], to[1] - share * along[1]], [along[1], -along[0]], squared)
@@ -311,7 +311,7 @@ pub(crate) fn polygon<F: Scalar>(x: F, y: F, flat: &FlatPolygon<F>) -> F {
 pub(crate) fn extrude<F: Scalar>(flat: F, z: F, p: &Parameters<F>) -> F {
     let zero = F::default();
     let [half_height, sin, cos, low, high, inverse] = *p;
-    if !(inverse > zero) {
+    if inverse <= zero {
         return prism(flat, z, half_height);
     }
     let from_wide = if sin > zero { z + half_height } else { z - half_height };

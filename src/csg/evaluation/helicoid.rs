@@ -2,24 +2,24 @@
 //!
 //! # Theory
 //!
-//! A thread is the image of a curve in the half plane of an axial section under the screw motions about z with the lead
-//! `2 pi h`. By these motions the point to evaluate is `(R, 0, Z)`. The point of the surface at the angle `a` from the
-//! curve's point `(r, z)` is `(r cos a, r sin a, z + h a)`, so the squared distance is
+//! A thread is the image of a curve in the half plane of an axial section under the screw motions about z with the
+//! lead `2 pi h`. By these motions the point to evaluate is `(R, 0, Z)`. The point of the surface at the angle `a`
+//! from the curve's point `(r, z)` is `(r cos a, r sin a, z + h a)`, so the squared distance is
 //!
 //! ```text
 //! min over a of  (R sin a)^2 + D(R cos a, Z - h a)^2,    D: distance to the curve in its plane
 //! ```
 //!
 //! The minimum for a flank is found by alternation: its point that is nearest at one angle, then one step of Newton's
-//! method to the angle that is nearest for this point. No step raises the distance but by rounding, and each step divides
-//! the error of the angle by about `R^2 / h^2`, which is 300 for M10.
+//! method to the angle that is nearest for this point. No step raises the distance but by rounding, and each step
+//! divides the error of the angle by about `R^2 / h^2`, which is 300 for M10.
 //!
-//! *Bound.* The first value is `D(R, Z)`, the distance in the plane of the point. As a function in space its slope is at
-//! most `L = sqrt(1 + h^2 / R^2)`, so it is at most `L` times the distance, and so are all later values. Values of
-//! points nearer to the axis than `core` are the value at `core`, less the way there, but at least the distance to the
-//! inscribed cylinder `minor`. Since `core` is half of `minor` and the distance is at least `minor - core` there, the
-//! value is at most `2 L - 1` times the distance with `L` at `core`. A nearest point is never beyond the core: the way
-//! would be longer than `sqrt(3)/2 minor`, and a root is nearer because the pitch is at most `minor`.
+//! *Bound.* The first value is `D(R, Z)`, the distance in the plane of the point. As a function in space its slope is
+//! at most `L = sqrt(1 + h^2 / R^2)`, so it is at most `L` times the distance, and so are all later values. Values of
+//! points nearer to the axis than `core` are the value at `core`, less the way there, but at least the distance to
+//! the inscribed cylinder `minor`. Since `core` is half of `minor` and the distance is at least `minor - core` there,
+//! the value is at most `2 L - 1` times the distance with `L` at `core`. A nearest point is never beyond the core:
+//! the way would be longer than `sqrt(3)/2 minor`, and a root is nearer because the pitch is at most `minor`.
 
 use super::scalar::{Scalar, length2, length3};
 use crate::csg::tree::primitive::PARAMETERS;
@@ -53,10 +53,10 @@ pub(crate) fn thread<F: Scalar>([x, y, z]: [F; 3], p: &[F; PARAMETERS]) -> F {
 
     // Crests and roots are parts of cylinders, whose nearest point lies in the half plane of the point.
     let mut nearest = F::of(f64::from(f32::MAX));
-    if !(from_crest > crest) {
+    if from_crest <= crest {
         nearest = (outer - major).abs();
     }
-    if !(from_crest < root) {
+    if from_crest >= root {
         nearest = nearest.least((outer - minor).abs());
     }
     let mut turn = zero;

@@ -61,8 +61,8 @@ macro_rules! declare {
             Volume(Arc<VolumeLeaf>, Box<PlacedVolume<F>>),
         }
 
-        /// The number of each kind of leaf. `Extrude` and `Revolve` are the first of three consecutive numbers, one per
-        /// profile.
+        /// The number of each kind of leaf. `Extrude` and `Revolve` are the first of three consecutive numbers, one
+        /// per profile.
         #[derive(Clone, Copy)]
         enum First {
             $($variant,)*

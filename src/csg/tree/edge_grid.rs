@@ -2,19 +2,20 @@
 //!
 //! # Theory
 //!
-//! Let `d` be the distance of the centre of a cell from the nearest edge, and `r` half the diagonal of the cell. A point
-//! of the cell is at most `d + r` from that edge, and at least `d' - r` from an edge at the distance `d'` of the centre.
-//! Only edges with `d' <= d + 2 r` can therefore be nearest to a point of the cell. The lists are found from the whole
-//! grid down to its cells: halves of a rectangle of cells search among the edges of the rectangle.
+//! Let `d` be the distance of the centre of a cell from the nearest edge, and `r` half the diagonal of the cell. A
+//! point of the cell is at most `d + r` from that edge, and at least `d' - r` from an edge at the distance `d'` of
+//! the centre. Only edges with `d' <= d + 2 r` can therefore be nearest to a point of the cell. The lists are found
+//! from the whole grid down to its cells: halves of a rectangle of cells search among the edges of the rectangle.
 //!
-//! The side of a point is the side of its nearest edge. Where the nearest point is a corner, the sign is the sign of the
-//! product with the *pseudonormal* of the corner, the sum of the unit normals of both edges (J. Baerentzen, H. Aanaes,
-//! "Signed Distance Computation Using the Angle Weighted Pseudonormal", 2005; in the plane the weights are equal).
+//! The side of a point is the side of its nearest edge. Where the nearest point is a corner, the sign is the sign of
+//! the product with the *pseudonormal* of the corner, the sum of the unit normals of both edges (J. Baerentzen, H.
+//! Aanaes, "Signed Distance Computation Using the Angle Weighted Pseudonormal", 2005; in the plane the weights are
+//! equal).
 //!
 //! # Practice
 //!
-//! The grid covers the box of the region, grown by half its longest side. Points beyond it search among all outer loops:
-//! a segment from such a point to a hole crosses the outer loop around the hole first.
+//! The grid covers the box of the region, grown by half its longest side. Points beyond it search among all outer
+//! loops: a segment from such a point to a hole crosses the outer loop around the hole first.
 
 use super::region::{Loop, area, bounds};
 use glam::DVec2;
@@ -39,8 +40,8 @@ pub struct EdgeGrid {
     pub inverse: f64,
     /// Number of cells along x and y; zero for a region with one list.
     pub counts: [u32; 2],
-    /// Start of each list in `listed`, and the end of the last one. List 0 is for points outside the grid; the list of a
-    /// cell has the index `1 + x + counts[0] * y`.
+    /// Start of each list in `listed`, and the end of the last one. List 0 is for points outside the grid; the list of
+    /// a cell has the index `1 + x + counts[0] * y`.
     pub starts: Vec<u32>,
     pub listed: Vec<u32>,
     pub edges: Vec<[f64; EDGE_VALUES]>,

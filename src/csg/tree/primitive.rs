@@ -5,11 +5,12 @@
 //! distances are in [`crate::csg::evaluation::field`].
 
 use super::checks::{finite, not_negative, positive};
+use super::ends::Ends;
 use super::language_table::{NumberSource, Word};
 use super::profile::Profile;
+use super::screw;
 use super::volume_leaf::VolumeLeaf;
 use crate::error::ShapeError;
-use crate::gpu::constants::csg_field::THREAD_CORE;
 use glam::{DVec2, DVec3};
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -101,8 +102,8 @@ macro_rules! primitives {
             /// A sheet around the I-WP surface of Schoen, at least `thickness` thick, that repeats every `cell`.
             Iwp { cell: f64, thickness: f64 } = iwp,
                 words [("iwp", "iwp", [Full("cell"), Full("t")])];
-            /// A right-handed screw thread about z without ends, of the basic profile of ISO 68-1 (`is_iso`) or ISO 2904,
-            /// whose surface is moved outwards by `offset`.
+            /// A right-handed screw thread about z without ends, of the basic profile of ISO 68-1 (`is_iso`) or
+            /// ISO 2904, whose surface is moved outwards by `offset`.
             Thread { radius: f64, pitch: f64, offset: f64, is_iso: bool } = thread,
                 words [
                     ("iso-thread", "iso_thread", [Half("d"), Full("pitch"), Full("offset")]),
@@ -159,50 +160,6 @@ macro_rules! declare {
     };
 }
 primitives!(declare);
-
-/// The basic profile of a thread with a major radius: minor radius, half the width of a crest, and the distance from the
-/// middle of a crest to the beginning of a root, along the axis.
-///
-/// ISO 68-1: a triangle of the height `H = sqrt(3)/2 pitch`, cut off by H/8 at the crests and by H/4 at the roots.
-/// ISO 2904: flanks of 15 degrees on the height of pitch/2, crests and roots of equal width.
-fn thread_profile(radius: f64, pitch: f64, is_iso: bool) -> [f64; 3] {
-    if is_iso {
-        return [radius - 0.625 * 0.75f64.sqrt() * pitch, pitch / 16.0, 0.5 * pitch - pitch / 8.0];
-    }
-    let half_width = 0.5 * (0.5 - 0.5 * (PI / 12.0).tan()) * pitch;
-    [radius - 0.5 * pitch, half_width, 0.5 * pitch - half_width]
-}
-
-/// Taper and chamfers of an extrusion.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Ends {
-    /// Angle between the sides and z, radians. The solid becomes narrower upwards for a positive angle and downwards for a
-    /// negative one, and has the profile at its wider end.
-    pub taper: f64,
-    /// Length that the chamfer at the lower and at the upper end takes off the side and off the end.
-    pub chamfer: [f64; 2],
-}
-
-impl Ends {
-    /// Checks an angle in degrees and chamfers of an extrusion.
-    pub fn new(taper_deg: f64, chamfer: [f64; 2], height: f64) -> Result<Self, ShapeError> {
-        if !(taper_deg.abs() <= 89.0) {
-            return Err(ShapeError::argument("taper_deg", format!("must be -89 to 89 degrees, got {taper_deg}")));
-        }
-        let [low, high] = chamfer.map(|length| not_negative("chamfer", length));
-        let chamfer = [low?, high?];
-        if chamfer[0] + chamfer[1] > height {
-            let problem = format!("takes {} off the height of {height}", chamfer[0] + chamfer[1]);
-            return Err(ShapeError::argument("chamfer", problem));
-        }
-        Ok(Self { taper: taper_deg.to_radians(), chamfer })
-    }
-
-    /// Whether the sides are vertical and the ends are flat.
-    pub fn is_plain(&self) -> bool {
-        *self == Self::default()
-    }
-}
 
 /// Number of parameters of a distance function.
 pub(crate) const PARAMETERS: usize = 6;
@@ -325,8 +282,8 @@ impl Primitive {
             ("diamond", &[cell, thickness]) => {
                 Self::Diamond { cell: positive("cell", cell)?, thickness: positive("thickness", thickness)? }
             }
-            ("iso_thread", &[radius, pitch, offset]) => return Self::thread(radius, pitch, offset, true),
-            ("trapezoidal_thread", &[radius, pitch, offset]) => return Self::thread(radius, pitch, offset, false),
+            ("iso_thread", &[radius, pitch, offset]) => screw::thread(radius, pitch, offset, true)?,
+            ("trapezoidal_thread", &[radius, pitch, offset]) => screw::thread(radius, pitch, offset, false)?,
             ("iwp", &[cell, thickness]) => {
                 Self::Iwp { cell: positive("cell", cell)?, thickness: positive("thickness", thickness)? }
             }
@@ -335,24 +292,6 @@ impl Primitive {
                 return Err(ShapeError::argument("primitive", problem));
             }
         })
-    }
-
-    fn thread(radius: f64, pitch: f64, offset: f64, is_iso: bool) -> Result<Self, ShapeError> {
-        let (radius, pitch) = (positive("diameter", radius)?, positive("pitch", pitch)?);
-        let offset = finite("clearance", offset)?;
-        let [minor, ..] = thread_profile(radius, pitch, is_iso);
-        if pitch > minor {
-            let least = 2.0 * (radius - minor + pitch);
-            let problem =
-                format!("must be at most the minor radius {minor}, got {pitch}; a diameter of {least} has it");
-            return Err(ShapeError::argument("pitch", problem));
-        }
-        if offset.abs() > 0.25 * minor {
-            let problem =
-                format!("must be at most a quarter of the minor radius, {}, got {}", 0.25 * minor, offset.abs());
-            return Err(ShapeError::argument("clearance", problem));
-        }
-        Ok(Self::Thread { radius, pitch, offset, is_iso })
     }
 
     /// The name and the arguments from which [`Self::named`] makes the primitive; `None` for profiles and volumes.
@@ -412,11 +351,7 @@ impl Primitive {
         match self {
             Self::Volume(volume) => volume.lipschitz(),
             // See [`crate::csg::evaluation::helicoid`].
-            Self::Thread { radius, pitch, is_iso, .. } => {
-                let [minor, ..] = thread_profile(*radius, *pitch, *is_iso);
-                let slope = pitch / (2.0 * PI) / (THREAD_CORE * minor);
-                2.0 * (1.0 + slope * slope).sqrt() - 1.0
-            }
+            Self::Thread { radius, pitch, is_iso, .. } => screw::lipschitz(*radius, *pitch, *is_iso),
             _ => 1.0,
         }
     }
@@ -481,11 +416,7 @@ impl Primitive {
             }
             Self::HexPrism { apothem, half_height } => put(&[s * apothem, s * half_height]),
             Self::Extrude { half_height, ends, .. } => {
-                let (sin, cos) = ends.taper.sin_cos();
-                let [low, high] = ends.chamfer;
-                // The chamfer is a bound with the slope of the sum of two unit normals at most.
-                let inverse = 1.0 / (2.0 + 2.0 * sin.abs()).sqrt();
-                put(&[s * half_height, sin, cos, s * low, s * high, if ends.is_plain() { 0.0 } else { inverse }]);
+                put(&[&[s * half_height], &ends.parameters(s)[..]].concat());
             }
             Self::Revolve { offset, .. } => put(&[s * offset]),
             // The level functions of the first three have gradients of at most sqrt(3), the last one of at most
@@ -501,7 +432,7 @@ impl Primitive {
                 put(&[frequency, 1.0 / (frequency * slope), 0.5 * s * thickness]);
             }
             Self::Thread { radius, pitch, offset, is_iso } => {
-                let [minor, crest, root] = thread_profile(radius, pitch, is_iso);
+                let [minor, crest, root] = screw::profile(radius, pitch, is_iso);
                 put(&[s * pitch, s * minor, s * radius, s * crest, s * root, s * offset]);
             }
             Self::Volume(_) => put(&[s]),
@@ -551,9 +482,7 @@ impl Primitive {
                 };
                 corner(0.0).max(corner(60.0)) + half_height * n.z.abs()
             }
-            Self::Extrude { ref profile, half_height, .. } => {
-                profile.support(DVec2::new(n.x, n.y)) + half_height * n.z.abs()
-            }
+            Self::Extrude { ref profile, half_height, ends } => ends.support(profile, half_height, n),
             Self::Revolve { ref profile, offset } => {
                 // The part beyond the axis counts too, which can only enlarge the box.
                 profile.support(DVec2::new(across, n.z)) + offset * across
@@ -577,7 +506,7 @@ impl Primitive {
         match self {
             Self::Volume(volume) => (1.0, volume.slack()),
             // Below the wider end the slanted sides go on.
-            Self::Extrude { ends, .. } => ((1.0 + ends.taper.sin().abs()) / ends.taper.cos(), 0.0),
+            Self::Extrude { ends, .. } => (ends.growth(), 0.0),
             _ => (1.0, 0.0),
         }
     }

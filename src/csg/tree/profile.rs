@@ -49,6 +49,16 @@ impl Profile {
         }
     }
 
+    /// An upper bound of the largest `n . p` over the points of the profile that are `inset` from the outside. It is
+    /// exact for circles and rectangles.
+    pub fn support_of_inset(&self, n: DVec2, inset: f64) -> f64 {
+        match self {
+            Self::Circle { radius } => (radius - inset).max(0.0) * n.length(),
+            Self::Rectangle { half } => (n.abs() * (*half - inset).max(DVec2::ZERO)).element_sum(),
+            Self::Polygon(_) => self.support(n) - inset * n.length(),
+        }
+    }
+
     /// Largest distance from the axis in a revolution about x = -`offset`; negative if the profile lies beyond the
     /// axis.
     pub fn reach(&self, offset: f64) -> f64 {

@@ -1,9 +1,9 @@
 //! Flat regions bounded by polygons: fill rules, Booleans and offsets.
 //!
-//! A region is a list of *loops*: simple polygons that do not cross each other, outer ones counter-clockwise and holes
-//! clockwise, so that the inside lies to the left of every edge. Loops that cross, overlap or nest in any orientation are
-//! resolved by the crate `i_overlay` in 64-bit integers, whose step is below the rounding of float64 for the box of the
-//! region.
+//! A region is a list of *loops*: simple polygons that do not cross each other, outer ones counter-clockwise and
+//! holes clockwise, so that the inside lies to the left of every edge. Loops that cross, overlap or nest in any
+//! orientation are resolved by the crate `i_overlay` in 64-bit integers, whose step is below the rounding of float64
+//! for the box of the region.
 
 use super::edge_grid::EdgeGrid;
 use crate::error::ShapeError;
@@ -121,7 +121,7 @@ pub(crate) fn combined(op: &str, first: &[Loop], second: &[Loop]) -> Result<Vec<
 pub(crate) fn offset(loops: &[Loop], distance: f64) -> Result<Vec<Loop>, ShapeError> {
     check(loops)?;
     let [lower, upper] = bounds(loops);
-    if !(distance.abs() <= MAX_COORDINATE) {
+    if !(-MAX_COORDINATE..=MAX_COORDINATE).contains(&distance) {
         return Err(ShapeError::argument("distance", format!("must be a finite number, got {distance}")));
     }
     if distance == 0.0 || loops.is_empty() {
@@ -141,8 +141,8 @@ pub(crate) fn bounds(loops: &[Loop]) -> [DVec2; 2] {
     loops.iter().flatten().fold(start, |[lower, upper], &p| [lower.min(p), upper.max(p)])
 }
 
-/// Twice the signed area of a loop, positive if it is counter-clockwise. Corners count from the first one, so that a loop
-/// far from the origin loses no digits.
+/// Twice the signed area of a loop, positive if it is counter-clockwise. Corners count from the first one, so that a
+/// loop far from the origin loses no digits.
 pub(crate) fn area(corners: &[DVec2]) -> f64 {
     let Some(&first) = corners.first() else { return 0.0 };
     let pairs = corners.iter().zip(corners.iter().cycle().skip(1));
@@ -209,7 +209,8 @@ fn coord(p: DVec2) -> robust::Coord<f64> {
     robust::Coord { x: p.x, y: p.y }
 }
 
-/// Whether no two edges touch except at their common corner. Edges are compared with those whose range of x they share.
+/// Whether no two edges touch except at their common corner. Edges are compared with those whose range of x they
+/// share.
 fn are_simple(loops: &[Loop]) -> bool {
     struct Edge {
         ends: [DVec2; 2],

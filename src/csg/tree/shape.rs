@@ -5,8 +5,9 @@
 //! traversed and dropped.
 
 use super::checks::{finite, not_negative, positive};
+use super::ends::Ends;
 use super::field_kind::FieldKind;
-use super::primitive::{Ends, Primitive};
+use super::primitive::Primitive;
 use super::profile::Profile;
 use super::volume_leaf::VolumeLeaf;
 use crate::error::ShapeError;

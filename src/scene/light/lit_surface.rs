@@ -210,7 +210,8 @@ impl<'a> LitSurface<'a> {
                     sum += match self.plain_visibility(found.shares[i], transmitted, options) {
                         Some(share) => share * transmitted,
                         None => {
-                            transmitted * self.visible_share(casters, &self.place_behind(), path, *slope, options, &mut work)
+                            transmitted
+                                * self.visible_share(casters, &self.place_behind(), path, *slope, options, &mut work)
                         }
                     };
                 }

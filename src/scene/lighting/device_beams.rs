@@ -203,7 +203,13 @@ impl DeviceResults {
                         Some(visible) => sum += visible * transmitted,
                         None => {
                             let slope = if pass.options.shadows == SceneShadows::Soft { slope } else { 0.0 };
-                            behind.push(Behind { light: i, transmitted, place: surface.place_behind(), ray: path, slope });
+                            behind.push(Behind {
+                                light: i,
+                                transmitted,
+                                place: surface.place_behind(),
+                                ray: path,
+                                slope,
+                            });
                         }
                     }
                 }
