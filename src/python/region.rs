@@ -1,7 +1,8 @@
 //! `fieldbake._core.resolved_polygons`, `combined_polygons` and `offset_polygons`.
 
 use super::error::Failure;
-use crate::csg::tree::region::{Loop, Rule, combined, offset, resolved};
+use crate::csg::tree::loops::Loop;
+use crate::csg::tree::region::{Rule, combined, offset, resolved};
 use crate::error::ShapeError;
 use glam::DVec2;
 use numpy::{PyArray2, PyReadonlyArray2};

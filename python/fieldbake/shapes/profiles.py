@@ -218,7 +218,7 @@ class Profile:
         -------
         Shape
             The union of a prism for each segment, cut off at each corner by the plane that halves the angle. Its field
-            is a lower bound on the distance.
+            is a lower bound on the distance; inside, about half of a short segment is its largest magnitude.
 
         Raises
         ------

@@ -70,8 +70,8 @@ def thread(
     >>> import fieldbake as fb
     >>> bolt = fb.thread(10, 1.5, 20, clearance=0.1, lead_in=1) | fb.hex_prism(9, 6).translate((0, 0, -12))
     >>> nut = fb.hex_prism(9, 8) - fb.thread(10, 1.5, 12, internal=True, clearance=0.1)
-    >>> nut.distance([(0, 0, 0)]).round(1).tolist()
-    [4.3]
+    >>> (bolt.distance([(0, 0, 0), (4.9, 0, 0), (0, 4.9, 0)]) < 0).tolist()
+    [True, False, False]
     """
     kind = checks.choice("profile", profile, tuple(DEPTHS), ShapeError)
     wide, turn, gap, lead = (

@@ -21,7 +21,7 @@ from .shape import Shape, combine
 __all__ = ["helix"]
 
 #: Length of a prism past the plane of a corner, as a share of the largest distance of the profile from the path.
-OVERLAP = 0.25
+OVERLAP = 1.0
 
 #: Sine of the angle of a corner below which two segments are one.
 STRAIGHT = 1e-9
@@ -55,8 +55,8 @@ def helix(radius: float, pitch: float, turns: float, *, segments: int = 48) -> N
     --------
     >>> import fieldbake as fb
     >>> spring = fb.circle(0.4).sweep(fb.helix(radius=4, pitch=2, turns=3))
-    >>> spring.distance([(4, 0, 2)]).round(2).tolist()
-    [-0.4]
+    >>> (spring.distance([(4, 0, 2), (4.3, 0, 2), (4.5, 0, 2)]) < 0).tolist()
+    [True, True, False]
     """
     wide, rise, count = number("radius", radius), number("pitch", pitch), number("turns", turns)
     pieces = checks.integer("segments", segments, least=3, most=4096, error=ShapeError)

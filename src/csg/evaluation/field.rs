@@ -13,8 +13,8 @@
 //! method on it converges from below (J. More, D. Sorensen, "Computing a Trust Region Step", 1983). Counting `t` from
 //! `-min(r)^2` avoids cancellation.
 
+use super::flat_polygon::FlatPolygon;
 pub(crate) use super::helicoid::thread;
-use super::leaf::FlatPolygon;
 use super::scalar::{Scalar, length2, length3};
 use crate::csg::tree::primitive::PARAMETERS;
 use crate::gpu::constants::csg_field::{ELLIPSOID_STEPS, ELLIPSOID_TINY};

@@ -3,6 +3,7 @@
 pub(crate) mod active_operands;
 pub(crate) mod dual;
 pub(crate) mod field;
+pub(crate) mod flat_polygon;
 pub(crate) mod helicoid;
 pub(crate) mod leaf;
 pub(crate) mod placed_volume;

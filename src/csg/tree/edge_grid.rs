@@ -17,7 +17,7 @@
 //! The grid covers the box of the region, grown by half its longest side. Points beyond it search among all outer
 //! loops: a segment from such a point to a hole crosses the outer loop around the hole first.
 
-use super::region::{Loop, area, bounds};
+use super::loops::{Loop, area, bounds};
 use glam::DVec2;
 
 /// Regions of fewer edges have one list.

@@ -5,6 +5,7 @@ pub(crate) mod edge_grid;
 pub(crate) mod ends;
 pub(crate) mod field_kind;
 pub(crate) mod language_table;
+pub(crate) mod loops;
 pub(crate) mod placement;
 pub(crate) mod primitive;
 pub(crate) mod profile;

@@ -282,8 +282,11 @@ impl Primitive {
             ("diamond", &[cell, thickness]) => {
                 Self::Diamond { cell: positive("cell", cell)?, thickness: positive("thickness", thickness)? }
             }
-            ("iso_thread", &[radius, pitch, offset]) => screw::thread(radius, pitch, offset, true)?,
-            ("trapezoidal_thread", &[radius, pitch, offset]) => screw::thread(radius, pitch, offset, false)?,
+            ("iso_thread" | "trapezoidal_thread", &[radius, pitch, offset]) => {
+                let is_iso = name == "iso_thread";
+                screw::check(radius, pitch, offset, is_iso)?;
+                Self::Thread { radius, pitch, offset, is_iso }
+            }
             ("iwp", &[cell, thickness]) => {
                 Self::Iwp { cell: positive("cell", cell)?, thickness: positive("thickness", thickness)? }
             }

@@ -6,6 +6,7 @@
 //! for the box of the region.
 
 use super::edge_grid::EdgeGrid;
+use super::loops::{Loop, area, bounds};
 use crate::error::ShapeError;
 use glam::DVec2;
 use i_overlay::core::fill_rule::FillRule;
@@ -14,9 +15,6 @@ use i_overlay::float::overlay::FloatOverlay;
 use i_overlay::mesh::float::outline::offset::OutlineOffset;
 use i_overlay::mesh::float::style::{LineJoin, OutlineStyle};
 use i_overlay::mesh::math::MathMode;
-
-/// A closed polygon.
-pub(crate) type Loop = Vec<DVec2>;
 
 /// Largest number of corners of a region: devices have the indices of its tables as float32.
 pub(crate) const MAX_CORNERS: usize = 1 << 16;
@@ -133,20 +131,6 @@ pub(crate) fn offset(loops: &[Loop], distance: f64) -> Result<Vec<Loop>, ShapeEr
     let unit = unit_of(loops);
     let style = OutlineStyle::new(distance / unit).line_join(LineJoin::Round(ARC_STEP)).math(MathMode::Float);
     Ok(flattened(paths(loops, unit).outline_as::<i64>(&style), unit))
-}
-
-/// Lower and upper corner of the box around loops.
-pub(crate) fn bounds(loops: &[Loop]) -> [DVec2; 2] {
-    let start = [DVec2::INFINITY, DVec2::NEG_INFINITY];
-    loops.iter().flatten().fold(start, |[lower, upper], &p| [lower.min(p), upper.max(p)])
-}
-
-/// Twice the signed area of a loop, positive if it is counter-clockwise. Corners count from the first one, so that a
-/// loop far from the origin loses no digits.
-pub(crate) fn area(corners: &[DVec2]) -> f64 {
-    let Some(&first) = corners.first() else { return 0.0 };
-    let pairs = corners.iter().zip(corners.iter().cycle().skip(1));
-    pairs.map(|(&a, &b)| (a - first).perp_dot(b - first)).sum()
 }
 
 fn check(loops: &[Loop]) -> Result<(), ShapeError> {

@@ -1,7 +1,6 @@
 //! Dimensions of screw threads.
 
 use super::checks::{finite, positive};
-use super::primitive::Primitive;
 use crate::error::ShapeError;
 use crate::gpu::constants::csg_field::THREAD_CORE;
 use std::f64::consts::PI;
@@ -20,9 +19,9 @@ pub(crate) fn profile(radius: f64, pitch: f64, is_iso: bool) -> [f64; 3] {
 }
 
 /// Checks the arguments of a thread.
-pub(crate) fn thread(radius: f64, pitch: f64, offset: f64, is_iso: bool) -> Result<Primitive, ShapeError> {
+pub(crate) fn check(radius: f64, pitch: f64, offset: f64, is_iso: bool) -> Result<(), ShapeError> {
     let (radius, pitch) = (positive("diameter", radius)?, positive("pitch", pitch)?);
-    let offset = finite("clearance", offset)?;
+    finite("clearance", offset)?;
     let [minor, ..] = profile(radius, pitch, is_iso);
     if pitch > minor {
         let least = 2.0 * (radius - minor + pitch);
@@ -33,7 +32,7 @@ pub(crate) fn thread(radius: f64, pitch: f64, offset: f64, is_iso: bool) -> Resu
         let problem = format!("must be at most a quarter of the minor radius, {}, got {}", 0.25 * minor, offset.abs());
         return Err(ShapeError::argument("clearance", problem));
     }
-    Ok(Primitive::Thread { radius, pitch, offset, is_iso })
+    Ok(())
 }
 
 /// Lipschitz constant of the field of a thread; see [`crate::csg::evaluation::helicoid`].
