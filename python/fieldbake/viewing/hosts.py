@@ -80,6 +80,9 @@ def to_html(
         model, ranges, values = found
         content = checked_content(model(**values), camera, encoding, size)
         add_sliders(content, model, ranges, values)
+        if camera is None:
+            # The first view fits the shape at all values.
+            content.camera = Camera.fit(content.bounds, aspect=content.size[0] / content.size[1])
     text = page_of(content)
     if len(text) > LARGE_PAGE:
         advice = "a sparse or coarser volume" if encoding == "snorm8" else 'encoding="snorm8"'

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from itertools import islice, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +30,9 @@ TOLERANCE = 1e-6
 
 #: Joint values of all sliders at which the sum of their changes is compared.
 JOINT = 5
+
+#: Largest number of joint values of the ends of all ranges at which the box of the shape is computed.
+CORNERS = 256
 
 Model = Callable[..., Any]
 Ranges = Mapping[str, tuple[float, float]]
@@ -55,15 +59,12 @@ class _Variant(NamedTuple):
 def add_sliders(content: Content, model: Model, ranges: Ranges, values: Mapping[str, float]) -> None:
     """Add the sliders to the page of ``model(**values)``; a remark names the parameters that need Python."""
     shapes = {name: [model(**{**values, name: at}) for at in _steps(ranges[name])] for name in ranges}
-    joint = [
-        {name: least + share * (most - least) for (name, (least, most)), share in zip(ranges.items(), row, strict=True)}
-        for row in np.random.default_rng(0).uniform(size=(JOINT, len(ranges))).tolist()
-    ]
     first = model(**values)
     every = [first, *(shape for group in shapes.values() for shape in group)]
     if not all(isinstance(shape, Shape) for shape in every):
         raise ArgumentError("model: must return a Shape, since a page can only change the numbers of shapes")
-    corners = [model(**at) for at in joint]
+    # Boxes mostly grow with each parameter, so the corners of the ranges bound them.
+    corners = [model(**dict(zip(ranges, at, strict=True))) for at in islice(product(*ranges.values()), CORNERS)]
     box = _union([*every, *corners])
     frame = _frame(box)
     base = _variant(first, frame)
@@ -168,4 +169,4 @@ def _store(
 
 def _remark(content: Content, names: list[str]) -> None:
     if names:
-        content.remarks.append(f"{', '.join(names)} would need Python: the numbers of the shape are not linear in it")
+        content.remarks.append(f"{', '.join(names)} would need Python: the numbers of the shape are not linear in them")

@@ -181,8 +181,8 @@ fn depth(loops: &[Loop], which: usize) -> usize {
         let pairs = corners.iter().zip(corners.iter().cycle().skip(1));
         let crossings = pairs.filter(|&(&a, &b)| {
             // The side of a point beside an edge that spans its height is exact.
-            let side = robust::orient2d(coord(a), coord(b), coord(p));
-            (a.y > p.y) != (b.y > p.y) && (side > 0.0) == (b.y > a.y)
+            let spans = (a.y > p.y) != (b.y > p.y);
+            spans && (robust::orient2d(coord(a), coord(b), coord(p)) > 0.0) == (b.y > a.y)
         });
         crossings.count() % 2 == 1
     };
