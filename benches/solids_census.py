@@ -36,6 +36,9 @@ try:
 except ImportError:
     open3d = None
 
+#: Open3D compares all pairs of faces, so larger meshes are left to the exact test.
+OPEN3D_FACES = 12_000
+
 #: Random points of a volume, and the largest relative errors of a volume with walls of 3 voxels and with thinner ones.
 POINTS = 4_000_000
 VOLUME_ERRORS = (0.005, 0.02)
@@ -58,7 +61,7 @@ def problems(mesh):
     crossings = mesh._core.self_intersections()
     if crossings:
         found.append(f"{crossings} pairs of faces cross")
-    if open3d is not None:
+    if open3d is not None and len(mesh.faces) <= OPEN3D_FACES:
         shown = open3d.geometry.TriangleMesh(
             open3d.utility.Vector3dVector(mesh.vertices.copy()),
             open3d.utility.Vector3iVector(mesh.faces.astype(np.int32)),
