@@ -258,11 +258,11 @@ class Shape(Viewable, Sectioned):
         Notes
         -----
         Unions, intersections and differences of exact shapes shift their field: all faces move by the distance, and the
-        edges between them stay sharp. The fields of `twist`, `bend`, most `elongate`,
-        periodic sheets, `xor`, smooth and chamfered joints, and volumes are no distances. For these the distance from the surface is
-        baked, as it is for any shape with `resolution`: the result then has round convex edges, no colours, and a
-        volume as a leaf, which shader text and the language of shapes do not support. :attr:`field_error` bounds its
-        error. The offset of ``shape.times(factor)`` is ``shape.offset(distance).times(factor)``.
+        edges between them stay sharp. The fields of `twist`, `bend`, most `elongate`, periodic sheets, `xor`, smooth
+        and chamfered joints, and volumes are no distances. For these the distance from the surface is baked, as it is
+        for any shape with `resolution`: the result then has round convex edges, no colours, and a volume as a leaf,
+        which shader text and the language of shapes do not support. :attr:`field_error` bounds its error. The offset
+        of ``shape.times(factor)`` is ``shape.offset(distance).times(factor)``.
 
         Examples
         --------
