@@ -23,4 +23,5 @@ pub(crate) mod tree;
 
 pub use level_set::{level_surface, planes_around_of_shape, planes_of_shape};
 pub use parts::solid::Solid;
-pub use tree::shape::{Blend, Op, Shape};
+pub use tree::kind::{Blend, Op};
+pub use tree::shape::Shape;

@@ -13,9 +13,9 @@ use crate::csg::parts::part::{Method, structure};
 use crate::csg::parts::solid::Solid;
 use crate::csg::text::language;
 use crate::csg::text::shader::shader;
+use crate::csg::tree::kind::{Blend, Op};
 use crate::csg::tree::profile::Profile;
 use crate::csg::tree::region::Rule;
-use crate::csg::tree::shape::{Blend, Op};
 use crate::csg::tree::volume_leaf::VolumeLeaf;
 use crate::error::{Error, ShapeError};
 use crate::shader_text::translation::Language;
@@ -178,7 +178,7 @@ impl Shape {
     /// The factor and the operand, if the root multiplies a field.
     fn without_factor(&self) -> Option<(f64, Self)> {
         match self.shape.kind() {
-            csg::tree::shape::Kind::Times(factor) => Some((*factor, Self::of(self.shape.children()[0].clone()))),
+            csg::tree::kind::Kind::Times(factor) => Some((*factor, Self::of(self.shape.children()[0].clone()))),
             _ => None,
         }
     }
@@ -186,7 +186,7 @@ impl Shape {
     /// The operands of the root, if it combines several, and the word of its operator.
     fn operands(&self) -> Option<(&'static str, Vec<Self>)> {
         match self.shape.kind() {
-            csg::tree::shape::Kind::Combine { op, .. } => {
+            csg::tree::kind::Kind::Combine { op, .. } => {
                 Some((op.name(), self.shape.children().iter().cloned().map(Self::of).collect()))
             }
             _ => None,

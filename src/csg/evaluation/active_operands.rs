@@ -7,7 +7,7 @@
 
 use super::program::{Joint, PlacedCombine, Program, Stack};
 use crate::csg::model::token::Token;
-use crate::csg::tree::shape::Op;
+use crate::csg::tree::kind::Op;
 use crate::simd::with_vectors;
 
 /// Tokens that decide a field, and the buffers of their search.

@@ -9,8 +9,8 @@ use super::leaf::{LeafField, PlacedLeaf};
 use super::scalar::{Scalar, length2};
 use crate::csg::model::lowered::{Coat, DistanceOp, MaskDistance, Model};
 use crate::csg::model::token::Token;
+use crate::csg::tree::kind::{Blend, Op};
 use crate::csg::tree::placement::WarpKind;
-use crate::csg::tree::shape::{Blend, Op};
 use glam::{DMat3, DVec3};
 use std::sync::Arc;
 

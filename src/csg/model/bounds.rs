@@ -5,9 +5,9 @@
 //! `t > 0`, and shrunk by `-shrink * t` for `t < 0`. A box may be inverted: the intersection of two disjoint boxes has
 //! a lower corner above its upper one. It grows into a proper box at the level at which the two grown boxes touch.
 
+use crate::csg::tree::kind::{Blend, Op};
 use crate::csg::tree::placement::{Placement, Warp, WarpKind};
 use crate::csg::tree::primitive::Primitive;
-use crate::csg::tree::shape::{Blend, Op};
 use glam::DVec3;
 use std::f64::consts::FRAC_1_SQRT_2;
 

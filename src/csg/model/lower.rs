@@ -7,9 +7,10 @@
 use super::bounds::Extent;
 use super::lowered::{Coat, Combine, DistanceOp, Leaf, Mask, Model};
 use super::token::Token;
+use crate::csg::tree::kind::{Blend, Kind, Op};
 use crate::csg::tree::placement::{Lattice, Placement, Stretch, Warp, WarpKind, reflection};
 use crate::csg::tree::primitive::Primitive;
-use crate::csg::tree::shape::{Blend, Kind, MAX_COPIES, MAX_LEAVES, Op, Shape, copies_of, too_many_leaves};
+use crate::csg::tree::shape::{MAX_COPIES, MAX_LEAVES, Shape, copies_of, too_many_leaves};
 use crate::error::ShapeError;
 use crate::gpu::constants::csg_interpreter::MAX_WARPS;
 use glam::DVec3;

@@ -12,9 +12,10 @@
 
 use super::bounds::Extent;
 use super::token::{Operation, Token, fold_postfix};
+use crate::csg::tree::kind::{Blend, Op};
 use crate::csg::tree::placement::{Placement, Warp};
 use crate::csg::tree::primitive::Primitive;
-use crate::csg::tree::shape::{Blend, Op, Shape};
+use crate::csg::tree::shape::Shape;
 use crate::error::ShapeError;
 use glam::DVec3;
 use std::fmt;

@@ -50,7 +50,7 @@ use super::part::{Part, grouped};
 use crate::csg::model::bounds::Extent;
 use crate::csg::model::lowered::Model;
 use crate::csg::model::token::Token;
-use crate::csg::tree::shape::{Blend, Op};
+use crate::csg::tree::kind::{Blend, Op};
 use glam::DVec3;
 use std::sync::Arc;
 

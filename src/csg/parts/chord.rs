@@ -31,7 +31,7 @@
 use crate::csg::evaluation::leaf::{Flat, LeafField, PlacedLeaf};
 use crate::csg::evaluation::program::{Joint, Program};
 use crate::csg::model::token::{Operation, Token, fold_postfix};
-use crate::csg::tree::shape::Op;
+use crate::csg::tree::kind::Op;
 use crate::gpu::constants::csg_chord::{CHORD_FAR, CHORD_PARALLEL, CHORD_STILL};
 pub(crate) use crate::gpu::constants::csg_root::ERODED;
 use glam::{Vec2, Vec3};

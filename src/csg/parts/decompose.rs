@@ -23,8 +23,9 @@ use super::solid::Solid;
 use super::{carried_boxes, octree};
 use crate::csg::model::lowered::{Coat, DistanceOp, Model};
 use crate::csg::model::token::{Operation, Token, fold_postfix};
+use crate::csg::tree::kind::{Blend, Kind, Op};
 use crate::csg::tree::placement::{Placement, WarpKind};
-use crate::csg::tree::shape::{Blend, Kind, Op, Shape};
+use crate::csg::tree::shape::Shape;
 use crate::error::{Error, ShapeError};
 use glam::{DMat3, DQuat, DVec3};
 

@@ -18,7 +18,7 @@ use super::solid::Solid;
 use crate::csg::evaluation::program::{Joint, PlacedDistanceOp, PlacedWarp, PlacedWarpKind, Program};
 use crate::csg::model::lowered::Model;
 use crate::csg::model::token::Token;
-use crate::csg::tree::shape::Op;
+use crate::csg::tree::kind::Op;
 use crate::simd::with_vectors;
 use glam::{DVec3, UVec3};
 use rayon::prelude::*;

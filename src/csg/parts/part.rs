@@ -2,8 +2,8 @@
 
 use crate::csg::model::lowered::{DistanceOp, Model};
 use crate::csg::model::token::Token;
+use crate::csg::tree::kind::{Blend, Op};
 use crate::csg::tree::placement::WarpKind;
-use crate::csg::tree::shape::{Blend, Op};
 use crate::error::{ShapeError, choice};
 use glam::DVec3;
 use rustc_hash::FxHashMap;

@@ -17,7 +17,7 @@ use crate::csg::parts::chord::{MAX_LEAVES, PartKind};
 use crate::csg::parts::part::{StructureToken, structure};
 use crate::csg::parts::solid::Solid;
 use crate::csg::parts::trace::Tracer;
-use crate::csg::tree::shape::Op;
+use crate::csg::tree::kind::Op;
 use crate::gpu::constants::csg_draw::{FORM_CHORDS, FORM_FIELD, FORM_UNION};
 use crate::gpu::shader::shared;
 use std::collections::BTreeMap;

@@ -3,8 +3,8 @@
 //! An offset shifts the field, and a joint compares the fields of its operands. Both are in world units if the field
 //! has the slope of a distance. [`FieldKind`] follows from the operators alone, from the leaves to the root.
 
+use super::kind::{Blend, Kind, Op};
 use super::primitive::Primitive;
-use super::shape::{Blend, Kind, Op, Shape};
 
 /// Relation of a field to the distance from its zero level set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -16,6 +16,13 @@ pub enum FieldKind {
     Joint,
     /// The slope differs from one on smooth parts of the surface.
     Scaled,
+}
+
+/// A child of a node: its operation, and how near its field is to the distance.
+pub(super) struct Operand<'a> {
+    pub kind: &'a Kind,
+    pub field: FieldKind,
+    pub error: f64,
 }
 
 impl FieldKind {
@@ -39,31 +46,31 @@ impl FieldKind {
     }
 
     /// The relation of the field of a node.
-    pub(super) fn of(kind: &Kind, children: &[Shape]) -> Self {
-        let worst = children.iter().map(Shape::field_kind).max().unwrap_or(Self::Distance);
+    pub(super) fn of(kind: &Kind, operands: &[Operand<'_>]) -> Self {
+        let worst = operands.iter().map(|operand| operand.field).max().unwrap_or(Self::Distance);
         match kind {
             Kind::Primitive(primitive) => Self::of_primitive(primitive),
             Kind::Combine { op: Op::Xor, .. } => worst.max(Self::Joint),
             Kind::Combine { blend: Blend::Smooth(_) | Blend::Chamfer(_), .. } => worst.max(Self::Joint),
-            Kind::Elongate(_) if children.iter().all(is_smooth_at_its_planes) => Self::Distance,
+            Kind::Elongate(_) if operands.iter().all(|operand| is_smooth_at_its_planes(operand.kind)) => Self::Distance,
             Kind::Times(_) | Kind::Twist(_) | Kind::Bend(_) | Kind::Elongate(_) => Self::Scaled,
             // The second child of a stencil is its mask.
-            Kind::Stencil { .. } => children.first().map_or(worst, Shape::field_kind),
+            Kind::Stencil { .. } => operands.first().map_or(worst, |operand| operand.field),
             _ => worst,
         }
     }
 
     /// Bound of the difference of the field of a node from the distance near its surface, at points whose nearest
     /// surface point lies on no edge, world units; infinite if none is known.
-    pub(super) fn error_of(kind: &Kind, children: &[Shape]) -> f64 {
-        let worst = children.iter().map(Shape::field_error).fold(0.0, f64::max);
+    pub(super) fn error_of(kind: &Kind, operands: &[Operand<'_>]) -> f64 {
+        let worst = operands.iter().map(|operand| operand.error).fold(0.0, f64::max);
         match kind {
             Kind::Primitive(Primitive::Volume(volume)) => volume.error().unwrap_or(f64::INFINITY),
             Kind::Primitive(primitive) if Self::of_primitive(primitive) == Self::Distance => 0.0,
             Kind::Combine { op: Op::Union | Op::Intersection | Op::Difference, blend: Blend::Sharp } => worst,
-            Kind::Elongate(_) if Self::of(kind, children) == Self::Distance => worst,
+            Kind::Elongate(_) if Self::of(kind, operands) == Self::Distance => worst,
             Kind::Scale(factor) => factor * worst,
-            Kind::Stencil { .. } => children.first().map_or(worst, Shape::field_error),
+            Kind::Stencil { .. } => operands.first().map_or(worst, |operand| operand.error),
             Kind::Primitive(_)
             | Kind::Combine { .. }
             | Kind::Elongate(_)
@@ -76,13 +83,13 @@ impl FieldKind {
 
     /// Whether a node shifts or compares fields that do not have the slope of a distance, so that its size is not in
     /// world units.
-    pub(super) fn is_misused(kind: &Kind, children: &[Shape]) -> bool {
-        let worst = children.iter().map(Shape::field_kind).max().unwrap_or(Self::Distance);
+    pub(super) fn is_misused(kind: &Kind, operands: &[Operand<'_>]) -> bool {
+        let worst = operands.iter().map(|operand| operand.field).max().unwrap_or(Self::Distance);
         match kind {
             // A multiplied field is shifted on purpose, for instance to a thickness.
             Kind::Offset(_) | Kind::Shell(_) => {
-                let is_unknown = |child: &Shape| child.field_error() == f64::INFINITY;
-                children.iter().any(|child| is_unknown(child) && !matches!(child.kind(), Kind::Times(_)))
+                let is_unknown = |operand: &Operand<'_>| operand.error == f64::INFINITY;
+                operands.iter().any(|operand| is_unknown(operand) && !matches!(operand.kind, Kind::Times(_)))
             }
             Kind::Combine { blend: Blend::Smooth(_), .. } => worst == Self::Scaled,
             _ => false,
@@ -92,10 +99,10 @@ impl FieldKind {
 
 /// Whether a convex shape is symmetric about the coordinate planes and has no edge in them, so that the pieces between
 /// which [`Kind::Elongate`] inserts prisms meet them without a crease.
-fn is_smooth_at_its_planes(shape: &Shape) -> bool {
+fn is_smooth_at_its_planes(kind: &Kind) -> bool {
     use Primitive::{Box, Capsule, Cylinder, Ellipsoid, RoundedCylinder, Sphere};
     matches!(
-        shape.kind(),
+        kind,
         Kind::Primitive(
             Sphere { .. } | Ellipsoid { .. } | Box { .. } | Cylinder { .. } | RoundedCylinder { .. } | Capsule { .. }
         )

@@ -4,6 +4,7 @@ pub(crate) mod checks;
 pub(crate) mod edge_grid;
 pub(crate) mod ends;
 pub(crate) mod field_kind;
+pub(crate) mod kind;
 pub(crate) mod language_table;
 pub(crate) mod loops;
 pub(crate) mod placement;

@@ -1,6 +1,6 @@
 //! Placements of leaves, and changes of the position.
 
-use super::shape::Kind;
+use super::kind::Kind;
 use glam::{DMat3, DVec3};
 
 /// A rotation or reflection, a translation and a uniform scale. `world = rotation * leaf + translation` places a leaf
