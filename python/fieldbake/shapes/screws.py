@@ -70,8 +70,8 @@ def thread(
     >>> import fieldbake as fb
     >>> bolt = fb.thread(10, 1.5, 20, clearance=0.1, lead_in=1) | fb.hex_prism(9, 6).translate((0, 0, -12))
     >>> nut = fb.hex_prism(9, 8) - fb.thread(10, 1.5, 12, internal=True, clearance=0.1)
-    >>> (bolt.distance([(0, 0, 0), (4.9, 0, 0), (0, 4.9, 0)]) < 0).tolist()
-    [True, False, False]
+    >>> (bolt.distance([(0, 0, 0), (4.8, 0, 0), (0, 4.8, 0)]) < 0).tolist()
+    [True, True, False]
     """
     kind = checks.choice("profile", profile, tuple(DEPTHS), ShapeError)
     wide, turn, gap, lead = (
@@ -106,6 +106,7 @@ def thread(
     # The cylinder around the crests with chamfers, which meet in the middle of a short rod.
     outer = min(crest, end + 0.5 * tall)
     flat = 0.5 * tall - (outer - end)
-    half = [(0.0, 0.5 * tall), (end, 0.5 * tall), (outer, flat)]
-    corners = [(x, -z) for x, z in half] + ([] if flat == 0 else [(outer, flat)]) + half[1::-1]
+    # Both halves of the section, because an edge on the axis would be a face inside the solid.
+    side = [(end, -0.5 * tall), (outer, -flat)] + ([] if flat == 0 else [(outer, flat)]) + [(end, 0.5 * tall)]
+    corners = side + [(-x, z) for x, z in reversed(side)]
     return rod & revolve(polygon(corners))
