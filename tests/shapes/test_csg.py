@@ -55,7 +55,7 @@ def test_exact_fields_have_unit_slope(solid, points):
 @pytest.mark.parametrize("solid", truth.SOLIDS, ids=lambda solid: solid.name)
 def test_boxes_are_tight_under_any_turn(solid):
     if solid.name == "thread":
-        pytest.skip("an intersection with a cylinder, whose box is that of the cylinder")
+        pytest.skip("the box of the rod is the box of its cylinder")
     shape = solid.shape.rotate((1, 2, -1), 37).translate((0.3, -2, 5))
     surface = solid.surface @ truth.turn((1, 2, -1), 37).T + (0.3, -2, 5)
 
