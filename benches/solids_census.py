@@ -160,13 +160,13 @@ def part(seed):
         made = shape(random)
         return kind, lambda sharp: made.to_mesh(resolution, sharp=sharp), made, 0.0
     base = shape(random, 2)
-    mesh = base.to_mesh(48)
+    mesh = base.to_mesh(48, bounds=[(-2, -2, -2), (2, 2, 2)])
     if kind == "shell":
         voxel = float(np.ptp(mesh.bounds, axis=0).max()) / resolution if len(mesh.faces) else 1.0
         wall = float(random.choice([0.5, 1, 1.5, 3]))
         side = random.choice(["inward", "outward", "both"])
         return f"{kind} {wall} {side}", lambda _: fb.shell(mesh, wall * voxel, resolution, side), None, wall
-    other = shape(random, 2).to_mesh(48)
+    other = shape(random, 2).to_mesh(48, bounds=[(-2, -2, -2), (2, 2, 2)])
     op = random.choice(["union", "intersection", "difference"])
     return f"{kind} {op}", lambda _: fb.boolean(op, mesh, other, resolution=resolution), None, 0.0
 
