@@ -47,9 +47,11 @@ mod tests {
     fn triangles_with_a_common_vertex_cross_where_an_edge_passes_through_the_other() {
         let at = |points: [[f64; 3]; 3]| points.map(DVec3::from_array);
         let flat = at([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]]);
-        // Both triangles have the origin as a vertex; the opposite edge passes through the first, or beside it.
+        // Both triangles have the origin as a vertex. The opposite edge of the second passes through the first, or the
+        // opposite edge of the first through the second, or neither.
         assert!(triangles_cross(flat, at([[0.0, 0.0, 0.0], [1.0, 1.0, -1.0], [1.0, 1.0, 1.0]])));
-        assert!(!triangles_cross(flat, at([[0.0, 0.0, 0.0], [4.0, 4.0, -1.0], [4.0, 4.0, 1.0]])));
+        assert!(triangles_cross(flat, at([[0.0, 0.0, 0.0], [4.0, 4.0, -1.0], [4.0, 4.0, 1.0]])));
+        assert!(!triangles_cross(flat, at([[0.0, 0.0, 0.0], [-1.0, -1.0, -1.0], [-1.0, -1.0, 1.0]])));
         assert!(!triangles_cross(flat, at([[0.0, 0.0, 0.0], [1.0, 1.0, 0.0], [1.0, 1.0, 1.0]])));
         assert!(!triangles_cross(flat, flat));
     }
