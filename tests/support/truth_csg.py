@@ -16,7 +16,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 import fieldbake as fb
-from fieldbake.shapes.shape import combine as combine_shapes
+from fieldbake import _core
 
 # --- primitives by inequalities and points
 
@@ -504,7 +504,8 @@ def combine(op, trees, k=0.0, chamfer=0.0):
                 result = -_least(-either, both, k, chamfer)
         return result
 
-    shape = combine_shapes(op, [tree.shape for tree in trees], k=k, chamfer=chamfer)
+    # The fields are joined, also where they are no distances; the joints of `Shape` would bake the distances there.
+    shape = fb.Shape._wrap(_core.Shape.combine(op, [tree.shape._core for tree in trees], k, chamfer))
     inner = ", ".join(tree.text for tree in trees)
     return Tree(shape, field, f"{op} k={k} chamfer={chamfer} ({inner})")
 
