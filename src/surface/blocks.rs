@@ -1,6 +1,6 @@
 //! A level set from blocks of samples, a few blocks at a time.
 
-use super::cells::{SurfaceCell, SurfaceCells, cells_of_block};
+use super::cells::{Level, SurfaceCell, SurfaceCells, cells_of_block};
 use super::{LevelSurface, check_level, check_shape};
 use crate::error::{ArgumentError, Error};
 use crate::grid::Grid;
@@ -39,7 +39,7 @@ impl SurfaceBlocks {
         if values.iter().any(|value| !value.is_finite()) {
             return Err(ArgumentError::new("values", "must be finite").into());
         }
-        let (shape, level) = (self.grid.shape.map(|n| n as i32), self.level);
+        let (shape, level) = (self.grid.shape.map(|n| n as i32), Level::new(self.level, &self.grid));
         let blocks = origins.par_iter().zip(values.par_chunks_exact(samples));
         let cells = blocks.flat_map_iter(|(&origin, values)| cells_of_block(shape, side, origin, values, level));
         self.cells.append(&mut cells.collect());
@@ -56,7 +56,7 @@ impl SurfaceBlocks {
         fill: impl Fn(&mut S, [i32; 3], &mut [f32]) + Sync + Send,
         progress: &Progress,
     ) -> Result<(), Error> {
-        let (shape, level) = (self.grid.shape.map(|n| n as i32), self.level);
+        let (shape, level) = (self.grid.shape.map(|n| n as i32), Level::new(self.level, &self.grid));
         progress.set_total(origins.len() as u64);
         for origins in origins.chunks(BATCH) {
             let blocks = origins.par_iter().map_init(

@@ -10,6 +10,7 @@
 
 use super::patches::{face_corners, face_edges, is_ambiguous, patches};
 use crate::error::Error;
+use crate::grid::Grid;
 use crate::progress::Progress;
 use crate::volume::sparse::{BRICK_CELLS, SparseView};
 use crate::volume::{FieldView, Texel, Trilinear};
@@ -83,6 +84,35 @@ fn joins_inside(values: &[f32; 8], face: usize) -> bool {
 /// Number of cells that one task processes.
 const CHUNK: usize = 1024;
 
+/// A level of a field. A sample within the rounding of the level counts as the level itself, which is outside:
+/// otherwise rounding decides the sides of the samples of a plane through them, and its faces would cross.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Level {
+    value: f32,
+    rounding: f32,
+}
+
+/// Rounding of distances relative to a voxel: float32 positions in a grid of some hundred voxels.
+const ROUNDING: f64 = 1.0 / (1 << 14) as f64;
+
+impl Level {
+    pub(crate) fn new(value: f32, grid: &Grid) -> Self {
+        Self { value, rounding: (ROUNDING * grid.spacing().min_element()) as f32 }
+    }
+
+    /// A sample relative to the level, negative inside.
+    #[inline]
+    fn relative(self, sample: f32) -> f32 {
+        let value = sample - self.value;
+        if value.abs() <= self.rounding { 0.0 } else { value }
+    }
+
+    #[inline]
+    fn is_inside(self, sample: f32) -> bool {
+        sample - self.value < -self.rounding
+    }
+}
+
 /// All crossed cells of a grid, sorted by z, then y, then x.
 #[derive(Debug)]
 pub(crate) struct SurfaceCells {
@@ -103,12 +133,13 @@ impl SurfaceCells {
         let [nx, ny, nz] = field.grid().shape;
         progress.set_total(nz as u64 + 1);
         let (texels, scale) = (field.texels(), field.scale());
+        let level = Level::new(level, field.grid());
         let row = |y: i32, z: i32| {
             let clamp = |i: i32, n: usize| (i.max(0) as usize).min(n - 1);
             let first = nx * (clamp(y, ny) + ny * clamp(z, nz));
             &texels[first..first + nx]
         };
-        let bits = InsideBits::new(texels, nx, |texel: &T| texel.decode(scale) < level);
+        let bits = InsideBits::new(texels, nx, |texel: &T| level.is_inside(texel.decode(scale)));
         let slabs: Vec<Vec<SurfaceCell>> = (-1..shape[2])
             .into_par_iter()
             .map(|z| {
@@ -122,7 +153,7 @@ impl SurfaceCells {
                     bits.for_each_crossed(numbers, |x| {
                         let values = std::array::from_fn(|corner| {
                             let (r, x) = (corner >> 1, x + (corner & 1) as i32);
-                            let value = samples[r][(x.max(0) as usize).min(nx - 1)].decode(scale) - level;
+                            let value = level.relative(samples[r][(x.max(0) as usize).min(nx - 1)].decode(scale));
                             if padded[r] || x < 0 || x >= shape[0] { value.abs() } else { value }
                         });
                         found.extend(SurfaceCell::new([x, y, z], values));
@@ -143,6 +174,7 @@ impl SurfaceCells {
     ) -> Result<Self, Error> {
         let shape = field.grid().shape.map(|n| n as i32);
         let bricks = field.bricks().map(|n| n as i32);
+        let level = Level::new(level, field.grid());
         progress.set_total(bricks[2] as u64);
         let slabs: Vec<Vec<SurfaceCell>> = (0..bricks[2])
             .into_par_iter()
@@ -399,11 +431,11 @@ pub(crate) fn cells_of_block(
     side: usize,
     origin: [i32; 3],
     samples: &[f32],
-    level: f32,
+    level: Level,
 ) -> Vec<SurfaceCell> {
     let mut found = Vec::new();
     let n = side + 1;
-    let inside = samples.iter().filter(|&&value| value < level).count();
+    let inside = samples.iter().filter(|&&sample| level.is_inside(sample)).count();
     // Padding is outside, so a block that is inside everywhere may still have crossed cells at the box.
     let interior = (0..3).all(|axis| origin[axis] >= 0 && origin[axis] + (side as i32) < shape[axis]);
     if inside == 0 || (interior && inside == samples.len()) {
@@ -411,7 +443,7 @@ pub(crate) fn cells_of_block(
     }
     for (z, y) in (0..side).flat_map(|z| (0..side).map(move |y| (z, y))) {
         let rows: [&[f32]; 4] = std::array::from_fn(|r| &samples[n * (y + (r & 1) + n * (z + (r >> 1)))..][..n]);
-        let column = |x: usize| (0..4).fold(0u8, |bits, r| bits | u8::from(rows[r][x] < level) << r);
+        let column = |x: usize| (0..4).fold(0u8, |bits, r| bits | u8::from(level.is_inside(rows[r][x])) << r);
         let mut next = column(0);
         for x in 0..side {
             let here = std::mem::replace(&mut next, column(x + 1));
@@ -423,7 +455,7 @@ pub(crate) fn cells_of_block(
                 continue;
             }
             let values = std::array::from_fn(|c| {
-                let value = rows[c >> 1][x + (c & 1)] - level;
+                let value = level.relative(rows[c >> 1][x + (c & 1)]);
                 let at = |axis: usize| index[axis] + (c >> axis & 1) as i32;
                 let padded = !interior && (0..3).any(|axis| at(axis) < 0 || at(axis) >= shape[axis]);
                 if padded { value.abs() } else { value }
