@@ -263,7 +263,8 @@ fn vertices_outside_their_cells_keep_samples_on_their_sides_and_do_not_meet() {
         for (i, &value) in distances.iter().enumerate() {
             let p = surface.world([i % 5, i / 5 % 5, i / 25].map(|i| i as i32), DVec3::ZERO);
             let is_inside = winding(&mesh, p).round() as i64 % 2 != 0;
-            assert_eq!(is_inside, value < 0.0, "seed {seed}: sample {i}");
+            // A sample within the rounding of the level counts as outside.
+            assert_eq!(is_inside, value < -1.0 / f32::from(1u16 << 14), "seed {seed}: sample {i}");
         }
     }
 }
