@@ -72,7 +72,10 @@ COMMANDS = {
     "solid": ("solids", "Write a closed two-manifold mesh made from any triangles."),
     "boolean": ("solids", "Combine two meshes: fieldbake boolean a.stl - b.stl -o c.stl."),
     "slice": ("layers", "Slice a solid into layers for a printer: images in a .zip archive, or outlines as .svg."),
-    "cook": ("physics", "Compile a robot for MuJoCo with exact distances in the octrees of its SDF geoms."),
+    "cook": (
+        "physics",
+        "Write collision fields with exact distances, for MuJoCo from a robot or for Newton from meshes.",
+    ),
     "sweep": ("physics", "Write the space that a moving part or robot covers, as a closed mesh or a field."),
     "convert": (
         "files",
