@@ -102,7 +102,7 @@ impl LevelSurface {
     }
 
     /// The mesh of all quadrilaterals, some of them divided.
-    fn divided_mesh(
+    pub(super) fn divided_mesh(
         &self,
         vertices: Vertices,
         quads: &[Quad],
@@ -132,19 +132,13 @@ impl LevelSurface {
         if is_open.is_empty() { mesh } else { mesh.without_unused_vertices() }
     }
 
-    /// As [`Self::into_mesh`], but keeps the surface.
-    #[cfg(test)]
-    pub(super) fn mesh(&self, crossings: &[Crossing], extra: &ExtraPlanes, options: MeshOptions) -> SurfaceMesh {
-        let (mut vertices, mut quads) = self.settled(crossings, extra, options);
-        let progress = Progress::new();
-        let division =
-            self.untangle(&mut vertices.places, &mut quads, crossings, extra, options.sharp, &progress).unwrap();
-        let is_open = if options.capped { Vec::new() } else { on_box(crossings) };
-        self.divided_mesh(vertices, &quads, crossings, &division, &is_open)
-    }
-
     /// The vertices of all patches and the quadrilaterals around all crossed edges.
-    fn settled(&self, crossings: &[Crossing], extra: &ExtraPlanes, options: MeshOptions) -> (Vertices, Vec<Quad>) {
+    pub(super) fn settled(
+        &self,
+        crossings: &[Crossing],
+        extra: &ExtraPlanes,
+        options: MeshOptions,
+    ) -> (Vertices, Vec<Quad>) {
         assert_eq!(crossings.len(), self.edge_count(), "one crossing for each crossed edge");
         // Only planes of a source justify a vertex outside its cell; planes of the samples alone do not.
         let mut vertices = self.vertices(crossings, extra, options, options.sharp && !extra.is_empty());
@@ -551,7 +545,7 @@ pub(super) fn corners(links: &PatchLinks, edge: u32, quad: &Quad) -> [u32; 4] {
 }
 
 /// Whether each crossed edge leaves the box.
-fn on_box(crossings: &[Crossing]) -> Vec<bool> {
+pub(super) fn on_box(crossings: &[Crossing]) -> Vec<bool> {
     crossings.iter().map(|crossing| crossing.on_box).collect()
 }
 

@@ -1,8 +1,21 @@
 //! The mesh is closed and two-manifold for every field, and reproduces planes, edges and corners.
 
 use super::*;
+use mesh::on_box;
 use std::collections::HashMap;
 use std::f64::consts::PI;
+
+impl LevelSurface {
+    /// As [`Self::into_mesh`], but keeps the surface.
+    fn mesh(&self, crossings: &[Crossing], extra: &ExtraPlanes, options: MeshOptions) -> SurfaceMesh {
+        let (mut vertices, mut quads) = self.settled(crossings, extra, options);
+        let progress = Progress::new();
+        let division =
+            self.untangle(&mut vertices.places, &mut quads, crossings, extra, options.sharp, &progress).unwrap();
+        let is_open = if options.capped { Vec::new() } else { on_box(crossings) };
+        self.divided_mesh(vertices, &quads, crossings, &division, &is_open)
+    }
+}
 
 const SHARP: MeshOptions = MeshOptions { sharp: true, capped: true };
 const SMOOTH: MeshOptions = MeshOptions { sharp: false, capped: true };

@@ -74,12 +74,12 @@ def sparse_grid(
         near = np.abs(field(bounds[0] + (cells + 0.5) * CELL * voxel)) < reach
     offsets = np.stack(np.meshgrid(*[np.arange(SAMPLES)] * 3, indexing="ij"), -1).reshape(-1, 3)
     weights = offsets / CELL
-    wanted = np.flatnonzero(near)
+    refined = np.flatnonzero(near)
     kept, blocks = np.zeros(len(cells), dtype=bool), []
     error = LINEAR_ERROR * float(np.linalg.norm(extent))
-    for start in range(0, len(wanted), BATCH):
-        rows = wanted[start : start + BATCH]
-        with part(0.2 + 0.8 * start / len(wanted), 0.2 + 0.8 * min(1.0, (start + BATCH) / len(wanted))):
+    for start in range(0, len(refined), BATCH):
+        rows = refined[start : start + BATCH]
+        with part(0.2 + 0.8 * start / len(refined), 0.2 + 0.8 * min(1.0, (start + BATCH) / len(refined))):
             places = cells[rows, None] * CELL + offsets
             values = field((bounds[0] + places * voxel).reshape(-1, 3)).reshape(len(rows), -1)
         needed = np.abs(values - _interpolated(coarse, cells[rows], weights)).max(axis=1) >= error

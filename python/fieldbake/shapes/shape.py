@@ -471,7 +471,7 @@ class Shape(Viewable, Sectioned):
         It holds at points whose nearest surface point lies on no edge, for features of at least two voxels. It is 0 for
         exact shapes and their sharp unions, intersections and differences. For a baked distance, as in :meth:`offset`,
         it is the error of the contour and the largest error of linear interpolation, 0.87 voxels together with it; the
-        error on smooth parts is a few hundredths of a voxel. It is infinite where no bound is known.
+        error on smooth parts is a few hundredths of a voxel. It is infinite where no bound is proven.
         """
         return self._core.field_error
 
