@@ -10,7 +10,6 @@ through contact.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -22,7 +21,7 @@ from scipy.optimize import minimize
 from scipy.spatial import ConvexHull
 
 import fieldbake as fb
-from measuring import timed
+from measuring import run_table
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 import meshes
@@ -326,15 +325,5 @@ def through_contact() -> None:
 TABLES = {"pairs": (pairs, 500), "primitives": (primitives, 300), "depth": (depth, 200)}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("table", choices=TABLES)
-    parser.add_argument("--count", type=int)
-    options = parser.parse_args()
-    table, count = TABLES[options.table]
-    taken = timed(lambda: table(options.count or count))
-    print(f"{taken.least_cpu:.0f} s of processors")
-
-
 if __name__ == "__main__":
-    main()
+    run_table(TABLES, __doc__)

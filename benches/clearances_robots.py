@@ -8,7 +8,6 @@ distances of coal, and the pairs of random poses in contact beside its collision
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fieldbake as fb
-from measuring import timed
+from measuring import run_table
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 import meshes
@@ -158,15 +157,5 @@ def collides(coal: Any, first: Any, second: Any, poses: Array) -> bool:
 TABLES = {"gradients": (gradients, 1000), "folded": (folded, 200)}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("table", choices=TABLES)
-    parser.add_argument("--count", type=int)
-    options = parser.parse_args()
-    table, count = TABLES[options.table]
-    taken = timed(lambda: table(options.count or count))
-    print(f"{taken.least_cpu:.0f} s of processors")
-
-
 if __name__ == "__main__":
-    main()
+    run_table(TABLES, __doc__)

@@ -6,6 +6,7 @@ passes the result of a comparison on to `run.py`, which collects the summary.
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import platform
@@ -119,3 +120,14 @@ def machine() -> str:
             processor = line.split(":")[1].strip()
             break
     return f"{processor}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
+
+
+def run_table(tables: dict[str, tuple[Callable[[int], object], int]], description: str | None) -> None:
+    """Run the table that the command line names, with its own count or `--count`, and print the processor time."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("table", choices=tables)
+    parser.add_argument("--count", type=int)
+    options = parser.parse_args()
+    table, count = tables[options.table]
+    taken = timed(lambda: table(options.count or count))
+    print(f"{taken.least_cpu:.0f} s of processors")

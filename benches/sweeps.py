@@ -11,7 +11,6 @@ time of 1,000 poses beside 50 poses of one path.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from pathlib import Path
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm, logm
 
 import fieldbake as fb
-from measuring import interleaved, timed
+from measuring import interleaved, run_table
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 import meshes
@@ -200,15 +199,5 @@ def cost(_: int) -> None:
 TABLES = {"contain": (contain, 1_000_000), "robot": (robot, 100_000), "shells": (shells, 0), "cost": (cost, 0)}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("table", choices=TABLES)
-    parser.add_argument("--count", type=int)
-    options = parser.parse_args()
-    table, count = TABLES[options.table]
-    taken = timed(lambda: table(options.count or count))
-    print(f"{taken.least_cpu:.0f} s of processors")
-
-
 if __name__ == "__main__":
-    main()
+    run_table(TABLES, __doc__)
