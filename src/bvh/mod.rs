@@ -26,7 +26,7 @@ use glam::{Vec3, Vec4};
 use lanes::mask_within;
 use pack::Pack;
 use rustc_hash::{FxHashMap, FxHashSet};
-use stack::Stack;
+pub(crate) use stack::Stack;
 
 /// Half an ulp of 1/2: the float32 positions in boxes differ from the float64 positions of a mesh by at most this,
 /// local units.
@@ -256,40 +256,23 @@ impl Bvh {
         true
     }
 
-    /// Visits packs near `p`, the packs of the nearest boxes first. `on_pack` receives a pack, its index and the
-    /// squared distances of its faces from `p`, and returns as for [`Bvh::visit_nearest_packs`].
+    /// The next pack of a search around `p`, the packs of the nearest boxes first: its boxes have squared distances of
+    /// at most `limit`, which must be finite, since the box of an absent child is infinitely far. The search begins with
+    /// [`Stack::of_root`]. It takes no closure, which the compiler may leave as a function without the vector
+    /// instructions of the caller.
     #[inline(always)]
-    fn visit_nearest(&self, p: Vec3, limit: f32, mut on_pack: impl FnMut(&Pack, usize, &[f32; WIDTH]) -> f32) {
-        self.visit_nearest_packs(p, limit, |index| {
-            let pack = &self.packs[index];
-            on_pack(pack, index, &pack.distances_squared(p))
-        });
-    }
-
-    /// Visits packs near `p`, the packs of the nearest boxes first. `on_pack` receives the index of a pack, and returns
-    /// the largest squared distance of the boxes that are still searched, which begins as `limit` and must be finite:
-    /// the box of an absent child is infinitely far.
-    #[inline(always)]
-    pub fn visit_nearest_packs(&self, p: Vec3, mut limit: f32, mut on_pack: impl FnMut(usize) -> f32) {
-        let mut stack = Stack::new();
-        let mut child = Self::ROOT;
-        loop {
-            if child.is_pack() {
-                limit = on_pack(child.index());
-            } else {
-                let node = &self.nodes[child.index()];
-                let found = node.distances_squared(p);
-                let mask = mask_within(&found, limit);
-                if mask != 0 {
-                    child = stack.push_all_but_nearest(mask, &found, &node.children);
-                    continue;
-                }
-            }
-            child = match stack.pop(limit) {
-                Some(next) => next,
-                None => return,
+    pub(crate) fn next_pack(&self, stack: &mut Stack, p: Vec3, limit: f32) -> Option<usize> {
+        let mut child = stack.pop(limit)?;
+        while !child.is_pack() {
+            let node = &self.nodes[child.index()];
+            let found = node.distances_squared(p);
+            let mask = mask_within(&found, limit);
+            child = match mask {
+                0 => stack.pop(limit)?,
+                _ => stack.push_all_but_nearest(mask, &found, &node.children),
             };
         }
+        Some(child.index())
     }
 }
 

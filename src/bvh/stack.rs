@@ -3,13 +3,13 @@
 //! The nearest child of a node is searched first; the others wait on the stack in the order of their distances: squared
 //! distances of a point, or the t at which a ray enters a box.
 
-use super::{ChildRef, MAX_STACK, WIDTH};
+use super::{Bvh, ChildRef, MAX_STACK, WIDTH};
 use std::mem::MaybeUninit;
 
 /// Boxes that are still to be searched, with their distances, the nearest of each node on top.
 ///
 /// The memory is not initialised, since that takes longer than a short search.
-pub(super) struct Stack {
+pub(crate) struct Stack {
     slots: [MaybeUninit<(f32, ChildRef)>; MAX_STACK],
     /// Number of slots in use. All of them have been written.
     top: usize,
@@ -19,6 +19,14 @@ impl Stack {
     #[inline(always)]
     pub(super) const fn new() -> Self {
         Self { slots: [const { MaybeUninit::uninit() }; MAX_STACK], top: 0 }
+    }
+
+    /// A stack that holds the root of the tree.
+    #[inline(always)]
+    pub(crate) fn of_root() -> Self {
+        let mut stack = Self::new();
+        stack.push((0.0, Bvh::ROOT));
+        stack
     }
 
     #[inline(always)]

@@ -6,7 +6,7 @@
 //! near disks the lowest row wins, so the result depends neither on the tree nor on the first bound.
 
 use super::{Disks, PointCloud};
-use crate::bvh::Bvh;
+use crate::bvh::{Bvh, Stack};
 use crate::simd::with_vectors;
 use glam::DVec3;
 
@@ -61,7 +61,8 @@ impl PointCloud {
         let beyond = |distance: f64| ((distance + slack).powi(2) as f32).min(f32::MAX);
         let mut best: Option<NearestDisk> = None;
         let mut limit = beyond(bound);
-        self.bvh.visit_nearest_packs(p.as_vec3(), limit, |index| {
+        let mut stack = Stack::of_root();
+        while let Some(index) = self.bvh.next_pack(&mut stack, p.as_vec3(), limit) {
             let disks = &self.disks[index];
             for (lane, &row) in self.bvh.packs[index].faces().iter().enumerate() {
                 let point = disks.nearest_point(lane, p);
@@ -71,8 +72,7 @@ impl PointCloud {
                     limit = limit.min(beyond(distance));
                 }
             }
-            limit
-        });
+        }
         best
     }
 }

@@ -1,7 +1,7 @@
 //! The nearest neighbours of points.
 
 use super::{Frame, tree_of};
-use crate::bvh::Bvh;
+use crate::bvh::{Bvh, Stack};
 use glam::DVec3;
 
 /// Points and the tree over them.
@@ -28,8 +28,10 @@ impl PointTree {
     pub(crate) fn nearest(&self, p: DVec3, count: usize, found: &mut Vec<(f64, u32)>) {
         found.clear();
         let slack = f64::from(Bvh::nearest_slack(p.abs().max_element()));
-        self.bvh.visit_nearest_packs(p.as_vec3(), f32::MAX, |pack| {
-            for &row in self.bvh.packs[pack].faces() {
+        let mut stack = Stack::of_root();
+        let mut limit = f32::MAX;
+        while let Some(index) = self.bvh.next_pack(&mut stack, p.as_vec3(), limit) {
+            for &row in self.bvh.packs[index].faces() {
                 let next = (self.points[row as usize].distance_squared(p), row);
                 let place = found.partition_point(|other| *other < next);
                 if place < count {
@@ -37,7 +39,9 @@ impl PointTree {
                     found.insert(place, next);
                 }
             }
-            if found.len() < count { f32::MAX } else { (found[count - 1].0.sqrt() + slack).powi(2) as f32 }
-        });
+            if found.len() >= count {
+                limit = (found[count - 1].0.sqrt() + slack).powi(2) as f32;
+            }
+        }
     }
 }

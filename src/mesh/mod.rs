@@ -25,7 +25,7 @@ pub(crate) mod topology;
 pub(crate) mod wavefront;
 
 use crate::error::MeshError;
-use crate::geometry::is_on_a_line;
+use crate::geometry::{is_needle, is_on_a_line};
 use derived::DerivedTables;
 use glam::{DVec3, Vec3};
 use std::sync::OnceLock;
@@ -51,6 +51,7 @@ pub struct Mesh {
     source_faces: Vec<u32>,
     dropped_vertices: usize,
     topology: OnceLock<Topology>,
+    has_needles: OnceLock<bool>,
     tables: DerivedTables,
 }
 
@@ -149,6 +150,7 @@ impl Mesh {
             source_vertices,
             source_faces,
             topology: OnceLock::new(),
+            has_needles: OnceLock::new(),
             tables: DerivedTables::default(),
         })
     }
@@ -204,6 +206,11 @@ impl Mesh {
     /// The faces whose corners lie on a line, in increasing order.
     pub fn flat_faces(&self) -> &[u32] {
         &self.flat_faces
+    }
+
+    /// Whether float64 does not determine the plane of some face.
+    pub(crate) fn has_needles(&self) -> bool {
+        *self.has_needles.get_or_init(|| (0..self.faces.len() as u32).any(|face| is_needle(self.exact_triangle(face))))
     }
 
     /// Number of faces of the input without area: a repeated position, or corners on a line.

@@ -59,7 +59,7 @@ impl<'a> ClosedSurface<'a> {
     pub(crate) fn winding(&self, p: DVec3, axes: Axes) -> i32 {
         let mut winding = 0;
         let ray = RayBox::new(p, axes);
-        self.for_each_candidate(|node| ray.overlaps(node), |triangle| winding += crossing(p, triangle, axes));
+        self.for_each_candidate(&ray, |triangle| winding += crossing(p, triangle, axes));
         winding
     }
 
@@ -67,21 +67,23 @@ impl<'a> ClosedSurface<'a> {
     pub(crate) fn crossings(&self, p: DVec3, axes: Axes) -> u32 {
         let mut count = 0;
         let ray = RayBox::new(p, axes);
-        self.for_each_candidate(
-            |node| ray.overlaps(node),
-            |triangle| count += crossing(p, triangle, axes).unsigned_abs(),
-        );
+        self.for_each_candidate(&ray, |triangle| count += crossing(p, triangle, axes).unsigned_abs());
         count
     }
 
-    fn for_each_candidate(&self, overlaps: impl Fn(&Node) -> u32, mut on_triangle: impl FnMut([DVec3; 3])) {
-        self.bvh.visit(overlaps, |pack| {
-            for &face in pack.faces() {
-                if let Some(corners) = self.topology.oriented_face(self.mesh, face) {
-                    on_triangle(corners.map(|v| self.mesh.exact_position(v)));
+    fn for_each_candidate(&self, rays: &RayBox, mut on_triangle: impl FnMut([DVec3; 3])) {
+        self.bvh.visit(
+            |node| rays.overlaps(node),
+            |pack| {
+                for &face in pack.faces() {
+                    if let Some(corners) = self.topology.oriented_face(self.mesh, face)
+                        && rays.overlaps_triangle(self.mesh, corners)
+                    {
+                        on_triangle(corners.map(|v| self.mesh.exact_position(v)));
+                    }
                 }
-            }
-        });
+            },
+        );
         self.caps.iter().copied().for_each(on_triangle);
     }
 }
@@ -112,6 +114,14 @@ impl RayBox {
     #[inline(always)]
     pub(super) fn overlaps(&self, node: &Node) -> u32 {
         node.overlaps(self.low, self.high)
+    }
+
+    /// Whether the rays can intersect the triangle of three vertices. Its float32 positions decide, which saves the
+    /// float64 positions of most triangles.
+    #[inline(always)]
+    pub(super) fn overlaps_triangle(&self, mesh: &Mesh, corners: [u32; 3]) -> bool {
+        let [a, b, c] = corners.map(|v| mesh.positions()[v as usize]);
+        a.min(b).min(c).cmple(self.high).all() && a.max(b).max(c).cmpge(self.low).all()
     }
 }
 
@@ -195,10 +205,7 @@ pub(crate) fn scan_row(
     (low[axes.row], high[axes.row]) = (row, row);
     (low[axes.column], high[axes.column]) = (columns.at(0), columns.at(columns.count - 1));
     let rays = RayBox::between(low, high);
-    surface.for_each_candidate(
-        |node| rays.overlaps(node),
-        |triangle| mark_row(triangle, axes, row, columns, along, 1, windings),
-    );
+    surface.for_each_candidate(&rays, |triangle| mark_row(triangle, axes, row, columns, along, 1, windings));
     sum_marks(along, windings);
 }
 

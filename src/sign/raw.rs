@@ -83,7 +83,9 @@ impl RawClosure {
             |node| ray.overlaps(node),
             |pack| {
                 for &face in pack.faces() {
-                    count += crossing(p, mesh.exact_triangle(face), axes);
+                    if ray.overlaps_triangle(mesh, mesh.faces()[face as usize]) {
+                        count += crossing(p, mesh.exact_triangle(face), axes);
+                    }
                 }
             },
         );

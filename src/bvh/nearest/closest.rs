@@ -6,7 +6,7 @@
 
 use crate::bvh::lanes::{least_of, mask_within};
 use crate::bvh::pack::TriangleFrame;
-use crate::bvh::{Bvh, FAR, Node, WIDTH};
+use crate::bvh::{Bvh, FAR, Node, Stack, WIDTH};
 use crate::geometry::{TrianglePoint, closest_point_on_triangle};
 use crate::mesh::Mesh;
 use crate::simd::with_vectors;
@@ -104,11 +104,14 @@ impl Bvh {
         let mut limit = beyond(best);
         let mut nearest: Option<(Slot, u32)> = None;
         let mut packs = 0;
-        self.visit_nearest(p, limit, |pack, index, found| {
+        let mut stack = Stack::of_root();
+        while let Some(index) = self.next_pack(&mut stack, p, limit) {
             packs += 1;
-            let least = least_of(found);
+            let pack = &self.packs[index];
+            let found = pack.distances_squared(p);
+            let least = least_of(&found);
             if least <= best {
-                for lane in pack.lanes_within(found, least) {
+                for lane in pack.lanes_within(&found, least) {
                     let face = pack.face(lane);
                     if least < best || nearest.is_none_or(|(_, lowest)| face < lowest) {
                         best = least;
@@ -117,8 +120,7 @@ impl Bvh {
                 }
                 limit = beyond(best);
             }
-            limit
-        });
+        }
         nearest.map(|(slot, face)| Nearest { slot, face, distance_squared: best, packs })
     }
 

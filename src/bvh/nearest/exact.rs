@@ -11,7 +11,7 @@
 
 use super::closest::ClosestPoint;
 use crate::bvh::lanes::least_of;
-use crate::bvh::{BOX_ROUNDING, Bvh, FAR, Node, WIDTH};
+use crate::bvh::{BOX_ROUNDING, Bvh, FAR, Node, Stack, WIDTH};
 use crate::geometry::{Feature, is_needle};
 use crate::mesh::Mesh;
 use crate::simd::with_vectors;
@@ -52,7 +52,7 @@ impl<'a> ExactCandidates<'a> {
     /// Whether a face precedes another one: by distance, where needles have a penalty, then by index.
     fn precedes(&self, found: &ClosestPoint, best: &ClosestPoint) -> bool {
         let mut difference = found.distance - best.distance;
-        if difference.abs() <= NEEDLE_PENALTY {
+        if difference.abs() <= NEEDLE_PENALTY && self.mesh.has_needles() {
             let penalty = |face: u32| if is_needle(self.mesh.exact_triangle(face)) { NEEDLE_PENALTY } else { 0.0 };
             difference = (found.distance + penalty(found.face)) - (best.distance + penalty(best.face));
         }
@@ -137,20 +137,22 @@ impl Mesh {
         // Squared distances: the best one, and the largest one that float64 may still prefer.
         let mut limit = (reach * reach * (1.0 + 1e-6)).min(f32::MAX);
         let mut best = limit;
-        bvh.visit_nearest(p_single, limit, |pack, _, found| {
-            let least = least_of(found);
+        let mut stack = Stack::of_root();
+        while let Some(index) = bvh.next_pack(&mut stack, p_single, limit) {
+            let pack = &bvh.packs[index];
+            let found = pack.distances_squared(p_single);
+            let least = least_of(&found);
             if least < best {
                 best = least;
                 let reach = best.sqrt() + slack;
                 limit = limit.min(reach * reach);
             }
             if least <= limit {
-                for lane in pack.lanes_within(found, limit) {
+                for lane in pack.lanes_within(&found, limit) {
                     candidates.keep(found[lane], pack.face(lane), limit);
                 }
             }
-            limit
-        });
+        }
         candidates.drop_beyond(limit);
         candidates.compare_kept();
         candidates.best
