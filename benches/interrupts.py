@@ -65,6 +65,10 @@ def placed(m, n):
     poses = [np.concatenate([np.c_[np.eye(3), 4 * p], rows]) for p in scattered(n)]
     return fb.Scene([fb.Instance(m, transform=pose) for pose in poses])
 
+def star(n):
+    angles = 2 * np.pi * np.arange(n) / n
+    return (1 + 0.3 * np.sin(9 * angles))[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
 def blobs(n, seed=3):
     rng = np.random.default_rng(seed)
     shape = fb.sphere(0.3)
@@ -240,6 +244,22 @@ CALLS: dict[str, tuple[str, str]] = {
         "p = fb.sample_surface(fb.Mesh(*ball(100)), 200_000); c = fb.PointCloud(p.points, p.normals)",
         "fb.solid(c, 256)",
     ),
+    "polygon of many corners": ("p = fb.polygon(star(65_536)); q = scattered(2_000_000)", "p.extrude(1).distance(q)"),
+    "bake of a polygon": ("p = fb.polygon(star(20_000)).extrude(1)", "fb.bake(p, 300)"),
+    "Profile.offset": ("p = fb.polygon(star(65_536))", "p.offset(0.01)"),
+    "text": ("t = fb.text('fieldbake ' * 40, 1).extrude(1)", "t.to_mesh(256)"),
+    "thread": ("t = fb.thread(10, 1.5, 60)", "t.to_mesh(300)"),
+    "Shape.offset, baked": ("s = blobs(100).twist(per_unit_deg=60)", "s.offset(0.05, resolution=300)"),
+    "sections": (
+        "m = fb.Mesh(*ball(600)); o = np.linspace(-1, 1, 4000)[:, None] * [0, 0, 1]",
+        "m.sections(o, (0, 0, 1))",
+    ),
+    "section of a shape": ("s = blobs(100)", "s.section((0, 0, 0), (0, 0, 1), resolution=1024)"),
+    "query of a scene": ("s = placed(fb.Mesh(*ball(100)), 50); p = scattered(2_000_000)", "fb.query(s, p)"),
+    "sample_many": (
+        "import itertools; count = itertools.count(); m = fb.Mesh(*ball(100))",
+        "fb.sample_many([m] * 40, folder + f'/many{next(count)}', recipe='deepsdf')",
+    ),
     "devices": ("", "fb.devices()"),
 }
 for _ending in ("npz", "vdb", "nvdb", "vti", "vf", "dds", "ktx2", "nrrd", "exr"):
@@ -258,6 +278,9 @@ setup, call = SETUP, CALL
 exec(setup, space)
 print("ready", flush=True)
 for line in sys.stdin:
+    if line.strip() == "next":
+        # A late signal has interrupted the wait for this line, or arrived just after it.
+        continue
     if line.strip() == "again":
         exec(setup, space)
     code = compile(call, "call", "exec")
@@ -273,7 +296,6 @@ for line in sys.stdin:
         sys.stdin.readline()
     except KeyboardInterrupt:
         print("late", at, flush=True)
-        sys.stdin.readline()
 """
 
 

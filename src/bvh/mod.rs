@@ -257,8 +257,8 @@ impl Bvh {
     }
 
     /// The next pack of a search around `p`, the packs of the nearest boxes first: its boxes have squared distances of
-    /// at most `limit`, which must be finite, since the box of an absent child is infinitely far. The search begins with
-    /// [`Stack::of_root`]. It takes no closure, which the compiler may leave as a function without the vector
+    /// at most `limit`, which must be finite, since the box of an absent child is infinitely far. The search begins
+    /// with [`Stack::of_root`]. It takes no closure, which the compiler may leave as a function without the vector
     /// instructions of the caller.
     #[inline(always)]
     pub(crate) fn next_pack(&self, stack: &mut Stack, p: Vec3, limit: f32) -> Option<usize> {

@@ -104,6 +104,30 @@ def test_profiles_are_combined_and_moved():
         fb.circle(1) | fb.sphere(1)
 
 
+@pytest.mark.parametrize("offset", [0.0, 0.7, -1.3])
+def test_a_profile_at_the_axis_revolves_to_a_distance(offset):
+    # An edge on the axis is inside the solid: the distance on the axis is the distance to the walls.
+    half = np.array([(0, -0.6), (0.9, -0.6), (0.9, 0.6), (0, 0.6)])
+    r, h = np.hypot(*POINTS[:, :2].T), np.abs(POINTS[:, 2])
+    r[:100] = 0.0
+    points = np.column_stack([r, np.zeros_like(r), POINTS[:, 2]])
+    beyond = np.maximum(np.column_stack([r - 0.9, h - 0.6]), 0)
+    truth = np.linalg.norm(beyond, axis=1) + np.minimum(np.maximum(r - 0.9, h - 0.6), 0)
+    for profile in (
+        fb.polygon(half - (offset, 0)),
+        fb.rectangle((0.9, 1.2)).translate((0.45 - offset, 0)),
+        fb.rectangle((1.1, 1.2)).translate((0.35 - offset, 0)),
+    ):
+        solid = profile.revolve(offset)
+        assert solid.exact
+        assert np.abs(solid.distance(points) - truth).max() <= 1e-6
+        assert np.array_equal(fb.csg.parse(solid.to_sexpr()).distance(points), solid.distance(points))
+
+    # Two parts of a profile meet at the axis around a hollow.
+    bowl = np.array([(0, -1), (1, -1), (1, 1), (0.8, 1), (0.8, 0.2), (0, 0.2)])
+    assert np.allclose(fb.polygon(bowl).revolve().distance([(0, 0, 0), (0, 0, 0.4), (0, 0, -0.9)]), [-0.2, 0.2, -0.1])
+
+
 def test_a_volume_is_an_operand_on_either_side():
     volume = fb.bake(meshes.icosphere(3), 24)
     leaf, cube = fb.volume_shape(volume), fb.box(1.4)

@@ -29,6 +29,9 @@ const MAX_CELLS: f64 = 65536.0;
 /// Margin of the lists over the diagonal of the grid: float32 positions beside the border of a cell.
 const SLACK: f64 = 1e-5;
 
+/// Cells of a rectangle whose lists one thread finds.
+const CELLS_AT_ONCE: u32 = 1024;
+
 /// Number of values of an edge: its ends, and the pseudonormals of its ends, which point out of the region.
 pub(crate) const EDGE_VALUES: usize = 8;
 
@@ -52,6 +55,7 @@ impl EdgeGrid {
     pub fn new(loops: &[Loop]) -> Self {
         let edges: Vec<[f64; EDGE_VALUES]> = loops.iter().flat_map(|corners| edges_of(corners)).collect();
         let all: Vec<u32> = (0..edges.len() as u32).collect();
+        let segments: Vec<Segment> = edges.iter().map(Segment::of).collect();
         let [lower, upper] = bounds(loops);
         let mut grid = Self { lower, inverse: 1.0, counts: [0, 0], starts: vec![0], listed: Vec::new(), edges };
         if all.len() < FEW_EDGES {
@@ -74,38 +78,100 @@ impl EdgeGrid {
             first = next;
         }
         grid.starts.push(grid.listed.len() as u32);
-        let [nx, ny] = grid.counts;
-        let mut lists = vec![Vec::new(); (nx * ny) as usize];
-        grid.fill([0, 0], [nx, ny], &all, SLACK * size.length(), &mut lists);
+        let search = Search { grid: &grid, segments: &segments, slack: SLACK * size.length() };
+        let mut lists = vec![Vec::new(); (grid.counts[0] * grid.counts[1]) as usize];
+        for (cell, list) in search.lists(Rectangle { from: [0, 0], to: grid.counts }, &all) {
+            lists[cell] = list;
+        }
         for list in lists {
             grid.listed.extend(list);
             grid.starts.push(grid.listed.len() as u32);
         }
         grid
     }
+}
 
-    /// Finds the lists of a rectangle of cells among candidates.
-    fn fill(&self, from: [u32; 2], to: [u32; 2], candidates: &[u32], slack: f64, lists: &mut [Vec<u32>]) {
-        let corner = |[x, y]: [u32; 2]| self.lower + DVec2::new(f64::from(x), f64::from(y)) / self.inverse;
-        let (low, high) = (corner(from), corner(to));
-        let centre = 0.5 * (low + high);
-        let distances: Vec<f64> = candidates.iter().map(|&edge| to_edge(centre, &self.edges[edge as usize])).collect();
-        let nearest = distances.iter().copied().fold(f64::INFINITY, f64::min);
-        let reach = nearest + (high - low).length() + slack;
-        let near = candidates.iter().zip(&distances).filter(|&(_, &distance)| distance <= reach);
-        let near: Vec<u32> = near.map(|(&edge, _)| edge).collect();
-        let [nx, ny] = [to[0] - from[0], to[1] - from[1]];
-        if nx == 1 && ny == 1 {
-            lists[(from[0] + self.counts[0] * from[1]) as usize] = near;
-            return;
-        }
-        let axis = usize::from(ny > nx);
+/// Cells from one corner up to, and without, another one.
+#[derive(Clone, Copy)]
+struct Rectangle {
+    from: [u32; 2],
+    to: [u32; 2],
+}
+
+impl Rectangle {
+    fn cells(&self) -> u32 {
+        (self.to[0] - self.from[0]) * (self.to[1] - self.from[1])
+    }
+
+    /// Both halves, divided across the longer side.
+    fn halves(&self) -> [Self; 2] {
+        let Self { from, to } = *self;
+        let axis = usize::from(to[1] - from[1] > to[0] - from[0]);
         let middle = (from[axis] + to[axis]) / 2;
         let (mut end, mut start) = (to, from);
         end[axis] = middle;
         start[axis] = middle;
-        self.fill(from, end, &near, slack, lists);
-        self.fill(start, to, &near, slack, lists);
+        [Self { from, to: end }, Self { from: start, to }]
+    }
+}
+
+/// The search for the lists of cells.
+struct Search<'a> {
+    grid: &'a EdgeGrid,
+    segments: &'a [Segment],
+    slack: f64,
+}
+
+impl Search<'_> {
+    /// The cells of a rectangle with their lists, found among candidates.
+    fn lists(&self, rectangle: Rectangle, candidates: &[u32]) -> Vec<(usize, Vec<u32>)> {
+        let near = self.near(rectangle, candidates);
+        if rectangle.cells() == 1 {
+            let [x, y] = rectangle.from;
+            return vec![((x + self.grid.counts[0] * y) as usize, near)];
+        }
+        let halves = rectangle.halves();
+        let [mut lists, others] = if rectangle.cells() > CELLS_AT_ONCE {
+            rayon::join(|| self.lists(halves[0], &near), || self.lists(halves[1], &near)).into()
+        } else {
+            halves.map(|half| self.lists(half, &near))
+        };
+        lists.extend(others);
+        lists
+    }
+
+    /// The candidates that may be nearest to a point of a rectangle.
+    fn near(&self, Rectangle { from, to }: Rectangle, candidates: &[u32]) -> Vec<u32> {
+        let corner = |[x, y]: [u32; 2]| self.grid.lower + DVec2::new(f64::from(x), f64::from(y)) / self.grid.inverse;
+        let (low, high) = (corner(from), corner(to));
+        let centre = 0.5 * (low + high);
+        let squared: Vec<f64> =
+            candidates.iter().map(|&edge| self.segments[edge as usize].distance_squared(centre)).collect();
+        let nearest = squared.iter().copied().fold(f64::INFINITY, f64::min).sqrt();
+        let reach = (nearest + (high - low).length() + self.slack).powi(2);
+        let near = candidates.iter().zip(&squared).filter(|&(_, &squared)| squared <= reach);
+        near.map(|(&edge, _)| edge).collect()
+    }
+}
+
+/// An edge as the search needs it: one end, the way to the other end, and one over the squared length.
+struct Segment {
+    start: DVec2,
+    along: DVec2,
+    inverse: f64,
+}
+
+impl Segment {
+    fn of(&[ax, ay, bx, by, ..]: &[f64; EDGE_VALUES]) -> Self {
+        let start = DVec2::new(ax, ay);
+        let along = DVec2::new(bx, by) - start;
+        Self { start, along, inverse: along.length_squared().recip() }
+    }
+
+    fn distance_squared(&self, p: DVec2) -> f64 {
+        let from_start = p - self.start;
+        let t = (from_start.dot(self.along) * self.inverse).clamp(0.0, 1.0);
+        from_start.distance_squared(t * self.along)
     }
 }
 
@@ -129,10 +195,4 @@ fn edges_of(corners: &[DVec2]) -> Vec<[f64; EDGE_VALUES]> {
             [a.x, a.y, b.x, b.y, p.x, p.y, q.x, q.y]
         })
         .collect()
-}
-
-fn to_edge(p: DVec2, &[ax, ay, bx, by, ..]: &[f64; EDGE_VALUES]) -> f64 {
-    let (a, b) = (DVec2::new(ax, ay), DVec2::new(bx, by));
-    let along = ((p - a).dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0);
-    p.distance(a + along * (b - a))
 }

@@ -92,6 +92,7 @@ impl Shape {
             let problem = format!("the profile lies beyond the axis, nothing is left at x + {offset} > 0");
             return Err(ShapeError::argument("offset", problem));
         }
+        let (profile, offset) = profile.joined_at_axis(offset);
         Ok(Self::primitive(Primitive::Revolve { profile, offset }))
     }
 
