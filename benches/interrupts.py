@@ -256,9 +256,9 @@ CALLS: dict[str, tuple[str, str]] = {
     ),
     "section of a shape": ("s = blobs(100)", "s.section((0, 0, 0), (0, 0, 1), resolution=1024)"),
     "query of a scene": ("s = placed(fb.Mesh(*ball(100)), 50); p = scattered(2_000_000)", "fb.query(s, p)"),
-    "sample_many": (
-        "import itertools; count = itertools.count(); m = fb.Mesh(*ball(100))",
-        "fb.sample_many([m] * 40, folder + f'/many{next(count)}', recipe='deepsdf')",
+    "training.sample_many": (
+        "import itertools, fieldbake.training; count = itertools.count(); m = fb.Mesh(*ball(100))",
+        "fb.training.sample_many([m] * 40, folder + f'/many{next(count)}', 'deepsdf')",
     ),
     "devices": ("", "fb.devices()"),
 }

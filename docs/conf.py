@@ -15,6 +15,8 @@ DOCS = Path(__file__).parent
 BUILD = DOCS / "build"
 RESULTS = DOCS.parent / "benches" / "results"
 sys.path.insert(0, str(DOCS / "extensions"))
+# Pages run the command `fieldbake` of this environment, which need not be activated.
+os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
 
 project = "fieldbake"
 author = "the fieldbake developers"

@@ -11,6 +11,7 @@ use crate::csg::evaluation::program::LocalFrame;
 use crate::csg::parts::decompose::shape_of;
 use crate::csg::parts::part::{Method, structure};
 use crate::csg::parts::solid::Solid;
+use crate::csg::text::graph::Graph;
 use crate::csg::text::language;
 use crate::csg::text::shader::shader;
 use crate::csg::tree::kind::{Blend, Op};
@@ -36,6 +37,9 @@ pub struct Shape {
 
 /// Boxes of a decomposition, and the end of the boxes of each part.
 type PartArrays<'py> = (Bound<'py, PyArray3<f64>>, Vec<usize>);
+
+/// The name, the inputs and the value of each node of a graph, and the node of the distance.
+type GraphLists = (Vec<&'static str>, Vec<[u32; 4]>, Vec<f64>, u32);
 
 impl Shape {
     fn of(shape: csg::Shape) -> Self {
@@ -277,6 +281,17 @@ impl Shape {
         let shader = shader(&solid).map_err(Failure::from)?;
         let text = py.detach(|| shader.text(language)).map_err(Failure::from)?;
         Ok((text, shader.numbers.into_pyarray(py)))
+    }
+
+    /// The field as a graph of operations; None if it reads a baked volume.
+    fn graph(&self, py: Python<'_>) -> PyResult<Option<GraphLists>> {
+        let solid = self.solid(py)?;
+        let graph = py.detach(|| Graph::of(&solid.model));
+        Ok(graph.map(|Graph { nodes, result, .. }| {
+            let names = nodes.iter().map(|node| node.name).collect();
+            let values = nodes.iter().map(|node| node.value().unwrap_or(0.0)).collect();
+            (names, nodes.iter().map(|node| node.inputs).collect(), values, result)
+        }))
     }
 
     /// The boxes of all parts (n, 2, 3), and the ranges of the boxes of each part.

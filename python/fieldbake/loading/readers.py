@@ -7,9 +7,12 @@ import os
 import zipfile
 from typing import Any, TypeVar
 
+from .. import _core
 from ..base import checks
 from ..base.errors import CapacityError, FormatError
 from ..files.registry import format_of
+from ..shapes.implicit_function import read_function
+from ..shapes.shape import Shape
 from .foreign import load_format
 from .npz import read_archive
 
@@ -24,11 +27,12 @@ def load(path: str | os.PathLike[str]) -> Any:
     path : str or path
         A file that :meth:`Volume.save`, :meth:`Atlas.save` or another ``save`` wrote. Files of other programs may be
         ``.vdb`` (the level set, or else the first float grid; read as a dense grid), ``.nvdb`` (one uncompressed float
-        grid), ``.vti``, ``.nrrd`` and ``.vf``.
+        grid), ``.vti``, ``.nrrd`` and ``.vf``. A ``.3mf`` file of :meth:`Shape.save` with ``implicit=True`` is a
+        shape; other ``.3mf`` files are meshes for :func:`load_mesh`.
 
     Returns
     -------
-    Volume, QuantizedVolume, SparseVolume, NestedField or Atlas
+    Volume, QuantizedVolume, SparseVolume, NestedField, Atlas or Shape
         Equal bit for bit to the saved object, in the encoding of the file.
 
     Raises
@@ -57,6 +61,8 @@ def load(path: str | os.PathLike[str]) -> Any:
     with file.open("rb") as stream:
         size = os.fstat(stream.fileno()).st_size
         try:
+            if file.suffix.lower() == ".3mf":
+                return Shape._wrap(_core.Shape.parse(read_function(stream)))
             found = format_of(file.suffix.lower())
             if found is not None and found.read is not None:
                 return load_format(file, found)

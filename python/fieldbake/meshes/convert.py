@@ -330,6 +330,8 @@ def _read_file(path: str | os.PathLike[str], take: Callable[[Any, Document | Non
         ) from error
     except Exception as error:  # Readers of damaged files raise exceptions of any type.
         reason = str(error) or _NAMELESS.get(type(error), type(error).__name__)
+        if ending == ".3mf" and isinstance(error, KeyError):
+            reason = f"object {reason} has no triangles; load reads an implicit function"
         raise MeshError(f"{path}: cannot be read as a mesh ({file.suffix.lstrip('.').upper()}): {reason}") from error
     if document is not None:
         document.warn(os.fspath(path))

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 import os
-import zipfile
 from collections.abc import Callable, Iterator
 from typing import IO, Any
 
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..base import checks
 from ..base.errors import MeshError
+from ..files import package_3mf
 from ..files.container import atomic_write
 
 Vertices = NDArray[np.float64]
@@ -98,40 +97,8 @@ def _write_3mf(vertices: Vertices, faces: Faces, stream: IO[bytes]) -> None:
     """Write a 3MF package with one object; positions count as millimetres."""
     head = (
         '<?xml version="1.0" encoding="UTF-8"?>\n'
-        '<model unit="millimeter" xml:lang="en-US" xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02">'
-        '<resources><object id="1" type="model"><mesh><vertices>'
+        f'<model unit="millimeter" xml:lang="en-US" xmlns="{package_3mf.CORE}">'
+        '<resources><object id="1" type="model">'
     )
-    tail = '</triangles></mesh></object></resources><build><item objectid="1"/></build></model>'
-    model = itertools.chain(
-        [head],
-        (
-            "".join(f'<vertex x="{x!r}" y="{y!r}" z="{z!r}"/>' for x, y, z in rows.tolist())
-            for rows in _batches(vertices)
-        ),
-        ["</vertices><triangles>"],
-        ("".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in rows.tolist()) for rows in _batches(faces)),
-        [tail],
-    )
-    types = (
-        '<?xml version="1.0" encoding="UTF-8"?>\n'
-        '<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">'
-        '<Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
-        '<Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/></Types>'
-    )
-    relations = (
-        '<?xml version="1.0" encoding="UTF-8"?>\n'
-        '<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">'
-        '<Relationship Target="/3D/3dmodel.model" Id="rel0" '
-        'Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/></Relationships>'
-    )
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        members = (("[Content_Types].xml", [types]), ("_rels/.rels", [relations]), ("3D/3dmodel.model", model))
-        for name, texts in members:
-            # A fixed date, so that equal meshes make equal files.
-            info = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
-            info.compress_type = zipfile.ZIP_DEFLATED
-            with archive.open(info, "w") as member:
-                for text in texts:
-                    member.write(text.encode())
-    stream.write(buffer.getvalue())
+    tail = '</object></resources><build><item objectid="1"/></build></model>'
+    package_3mf.write(stream, itertools.chain([head], package_3mf.mesh_texts(vertices, faces), [tail]))

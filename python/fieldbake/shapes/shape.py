@@ -21,6 +21,7 @@ from ..base.languages import Language
 from ..base.progress import Progress, part, watched
 from ..base.viewable import Viewable
 from ..files.container import check_target
+from ..meshes.convert import MeshLike
 from ..meshes.export import mesh_kind
 from ..meshes.isosurface import ShapeSource, extract
 from ..meshes.mesh import Mesh
@@ -28,6 +29,7 @@ from ..meshes.section import Section, Sectioned, field_sections, frames
 from ..volumes.volume import Volume, plain_field
 from . import arguments, exact_distance
 from .arguments import Axis
+from .implicit_function import check_unused, save_function
 from .representation import python_text
 from .shader_function import FUNCTION, shader_function
 
@@ -604,15 +606,35 @@ class Shape(Viewable, Sectioned):
             clipped=bounds is not None,
         )
 
-    def save(self, path: str | os.PathLike[str], resolution: Resolution = MESH_RESOLUTION, **options: Any) -> None:
-        """Write the surface of the solid to a mesh file.
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        resolution: Resolution | None = None,
+        *,
+        implicit: bool = False,
+        within: MeshLike | None = None,
+        unit: str = "millimeter",
+        min_feature: float | None = None,
+        **options: Any,
+    ) -> None:
+        """Write the surface of the solid to a mesh file, or its field to a .3mf file.
 
         Parameters
         ----------
         path : str or path
             The ending chooses the format: ``.stl``, ``.obj``, ``.ply``, ``.glb`` or ``.3mf``.
-        resolution : int or three ints, default 128
-            Voxels along the longest side of the box, or along x, y and z.
+        resolution : int or three ints, optional
+            Voxels along the longest side of the box, or along x, y and z; 128 by default.
+        implicit : bool, default False
+            Whether a ``.3mf`` file has the field as an implicit function in place of triangles (3MF extensions
+            *Volumetric* 2022/01 and *Implicit* 2023/12): the shape without a resolution. :func:`load` reads it.
+        within : Mesh, or anything :func:`bake` takes, optional
+            Mesh that clips the implicit solid. By default the solid is the whole shape, in the box :attr:`bounds`.
+        unit : str, default "millimeter"
+            Unit of the coordinates in the implicit file: ``"micron"``, ``"millimeter"``, ``"centimeter"``, ``"inch"``,
+            ``"foot"`` or ``"meter"``.
+        min_feature : float, optional
+            Size of the smallest detail of the implicit solid, for slicers that sample it, world units.
         **options
             Further options of :meth:`to_mesh`.
 
@@ -621,7 +643,10 @@ class Shape(Viewable, Sectioned):
         MeshError
             For another ending, before any work, or if the shape has no surface in the box.
         ShapeError
-            If a part has no bounds; give `bounds` then.
+            If a part has no bounds; give `bounds` then, or `within` for an implicit file. Also for `within` without
+            `implicit`, for an implicit shape with a baked volume, and for one of more than 20,000 operations.
+        ArgumentError
+            For a `unit` or `min_feature` that is not valid or has no use, and for a resolution of an implicit file.
         OSError
             If the file cannot be written.
 
@@ -632,7 +657,12 @@ class Shape(Viewable, Sectioned):
         """
         mesh_kind(path)
         check_target(checks.path(path))
-        mesh = self.to_mesh(resolution, **options)
+        if implicit:
+            grid = {"resolution": resolution} if resolution is not None else {}
+            save_function(self._core, path, within, unit=unit, min_feature=min_feature, unused=[*grid, *options])
+            return
+        check_unused(within, unit, min_feature)
+        mesh = self.to_mesh(MESH_RESOLUTION if resolution is None else resolution, **options)
         if not len(mesh.faces):
             raise MeshError(f"{path}: the shape has no surface in the box")
         mesh.save(path)

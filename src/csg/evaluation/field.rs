@@ -46,11 +46,8 @@ pub(crate) fn ellipsoid<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let t_from_zero = t - shortest * shortest;
     let excess = x * (x / (t + dx)) + y * (y / (t + dy)) + z * (z / (t + dz)) - one;
     // `t_from_zero` and `excess` have the same sign, or the field is zero within rounding.
-    if t_from_zero > F::default() {
-        t_from_zero.sqrt() * excess.most(F::default()).sqrt()
-    } else {
-        -((-t_from_zero).sqrt() * (-excess).most(F::default()).sqrt())
-    }
+    let (zero, root) = (F::default(), t_from_zero.abs().sqrt());
+    F::select_less(zero, t_from_zero, root * excess.most(zero).sqrt(), -(root * (-excess).most(zero).sqrt()))
 }
 
 /// A box with the given half sides.
@@ -91,8 +88,7 @@ pub(crate) fn capped_torus<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F
     let y = y.abs();
     let to_ring = length2(length2(x, y) - radius, z);
     let to_end = length3([x - radius * cos, y - radius * sin, z]);
-    let is_beyond = y * cos - x * sin > F::default();
-    (if is_beyond { to_end } else { to_ring }) - tube
+    F::select_less(F::default(), y * cos - x * sin, to_end, to_ring) - tube
 }
 
 /// Distance to a prism: a 2D distance extruded along z.
@@ -125,7 +121,7 @@ pub(crate) fn cone<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let zero = F::default();
     let [low, high, half_height, inverse_slant_squared] = [p[0], p[1], p[2], p[3]];
     let r = length2(x, y);
-    let cap_radius = if z < zero { low } else { high };
+    let cap_radius = F::select_less(z, zero, low, high);
     let cap = [(r - cap_radius).most(zero), z.abs() - half_height];
     // Position along the side, 0 at the top and 1 at the bottom.
     let slant = [low - high, -(half_height + half_height)];
@@ -134,7 +130,7 @@ pub(crate) fn cone<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let side = [r - high - along * slant[0], z - half_height - along * slant[1]];
     let squared = (cap[0] * cap[0] + cap[1] * cap[1]).least(side[0] * side[0] + side[1] * side[1]);
     let distance = squared.sqrt();
-    if side[0] < zero && cap[1] < zero { -distance } else { distance }
+    F::select_less(side[0].most(cap[1]), zero, -distance, distance)
 }
 
 /// The nearest of the lower ball, the upper ball and the side. The normals of the side through the two centres
@@ -144,13 +140,8 @@ pub(crate) fn rounded_cone<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F
     let [low, high, base, height, cos, sin] = *p;
     let (r, z) = (length2(x, y), z - base);
     let along = z * cos - r * sin;
-    if along < F::default() {
-        length2(r, z) - low
-    } else if along > height * cos {
-        length2(r, z - height) - high
-    } else {
-        r * cos + z * sin - low
-    }
+    let [lower, upper, side] = [length2(r, z) - low, length2(r, z - height) - high, r * cos + z * sin - low];
+    F::select_less(along, F::default(), lower, F::select_less(height * cos, along, upper, side))
 }
 
 #[inline(always)]
@@ -179,17 +170,17 @@ pub(crate) fn pyramid<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     // The other edge of the triangle, from (half, 0) to (0, slant) in (y, up).
     let edge_squared = half * half + slant * slant;
     let beyond = ((y - half) * slant + up * half) / edge_squared;
-    let (on_y, on_up) = if beyond > zero { (y - beyond * slant, up - beyond * half) } else { (y, up) };
+    let if_beyond = |then: F, otherwise: F| F::select_less(zero, beyond, then, otherwise);
+    let (on_y, on_up) = (if_beyond(y - beyond * slant, y), if_beyond(up - beyond * half, up));
     // The nearest point on the edge, between its ends; then the position above the base.
     let along = (on_up / slant).between(zero, F::of(1.0));
-    let is_beyond = beyond > zero;
-    let foot_y = if is_beyond { half * (F::of(1.0) - along) } else { on_y };
-    let foot_up = if is_beyond { slant * along } else { on_up.most(zero) };
+    let foot_y = if_beyond(half * (F::of(1.0) - along), on_y);
+    let foot_up = if_beyond(slant * along, on_up.most(zero));
     let foot_y = foot_y.least(half);
     let to_side = [out, y - foot_y, up - foot_up];
     let to_base = [(x - half).most(zero), (y - half).most(zero), height];
     let outside = length3(to_side).least(length3(to_base));
-    if inside > zero { outside } else { inside }
+    F::select_less(zero, inside, outside, inside)
 }
 
 #[inline(always)]
@@ -200,17 +191,11 @@ pub(crate) fn octahedron<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let [x, y, z] = [x.abs(), y.abs(), z.abs()];
     let m = x + y + z - radius;
     // Where the projection onto the plane of the face has a negative coordinate, the nearest point lies on that edge.
-    let (u, v, w) = if three * x < m {
-        (x, y, z)
-    } else if three * y < m {
-        (y, z, x)
-    } else if three * z < m {
-        (z, x, y)
-    } else {
-        return m * F::of(1.0 / 3f64.sqrt());
-    };
+    let pick = |[a, b, c]: [F; 3]| F::select_less(three * x, m, a, F::select_less(three * y, m, b, c));
+    let [u, v, w] = [pick([x, y, z]), pick([y, z, x]), pick([z, x, y])];
     let k = (F::of(0.5) * (w - v + radius)).between(zero, radius);
-    length3([u, v - radius + k, w - k])
+    let (edge, face) = (length3([u, v - radius + k, w - k]), m * F::of(1.0 / 3f64.sqrt()));
+    F::select_less(three * x.least(y).least(z), m, edge, face)
 }
 
 #[inline(always)]
@@ -226,7 +211,7 @@ pub(crate) fn hex_prism<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let along = x - x.between(-half_side, half_side);
     let across = y - apothem;
     let distance = length2(along, across);
-    prism(if across < zero { -distance } else { distance }, z, p[1])
+    prism(F::select_less(across, zero, -distance, distance), z, p[1])
 }
 
 #[inline(always)]
@@ -272,7 +257,7 @@ pub(crate) fn rectangle<F: Scalar>(x: F, y: F, half: [F; 2]) -> F {
 /// Distance to the nearest of the edges that are nearest to a point of the cell of the grid; see
 /// [`crate::csg::tree::edge_grid`].
 pub(crate) fn polygon<F: Scalar>(x: F, y: F, flat: &FlatPolygon<F>) -> F {
-    let zero = F::default();
+    let (zero, one) = (F::default(), F::of(1.0));
     let mut nearest = F::of(f64::from(f32::MAX));
     // The product with the outward normal of the nearest point, and the squared length of an edge; zero for a corner.
     let (mut side, mut length_squared) = (zero, zero);
@@ -282,28 +267,25 @@ pub(crate) fn polygon<F: Scalar>(x: F, y: F, flat: &FlatPolygon<F>) -> F {
         let to = [x - ax, y - ay];
         let squared = along[0] * along[0] + along[1] * along[1];
         let share = (to[0] * along[0] + to[1] * along[1]) / squared;
-        let (away, normal, length) = if share <= zero {
-            (to, [px, py], zero)
-        } else if share < F::of(1.0) {
-            ([to[0] - share * along[0], to[1] - share * along[1]], [along[1], -along[0]], squared)
-        } else {
-            ([x - bx, y - by], [qx, qy], zero)
+        // The start, a point between the ends, or the end: the way from it, its normal, and the length.
+        let start = || [to[0], to[1], px, py, zero];
+        let between = || [to[0] - share * along[0], to[1] - share * along[1], along[1], -along[0], squared];
+        let end = || [x - bx, y - by, qx, qy, zero];
+        let [away_x, away_y, normal_x, normal_y, length] =
+            F::branch_less(zero, share, || F::branch_less(share, one, between, end), start);
+        let distance = away_x * away_x + away_y * away_y;
+        let nearer = || {
+            let [from_x, from_y] = F::branch_less(zero, length, || to, || [away_x, away_y]);
+            [distance, from_x * normal_x + from_y * normal_y, length]
         };
-        let distance = away[0] * away[0] + away[1] * away[1];
-        if distance < nearest {
-            nearest = distance;
-            let from = if length > zero { to } else { away };
-            side = from[0] * normal[0] + from[1] * normal[1];
-            length_squared = length;
-        }
+        [nearest, side, length_squared] = F::branch_less(distance, nearest, nearer, || [nearest, side, length_squared]);
     }
-    if length_squared > zero {
-        side / length_squared.sqrt()
-    } else if side < zero {
-        -nearest.sqrt()
-    } else {
-        nearest.sqrt()
-    }
+    let from_corner = || {
+        let distance = nearest.sqrt();
+        [F::select_less(side, zero, -distance, distance)]
+    };
+    let [distance] = F::branch_less(zero, length_squared, || [side / length_squared.sqrt()], from_corner);
+    distance
 }
 
 /// An extrusion. With taper or chamfers it is the intersection of its bounded sides, a lower bound outside.
@@ -314,11 +296,10 @@ pub(crate) fn extrude<F: Scalar>(flat: F, z: F, p: &Parameters<F>) -> F {
     if inverse <= zero {
         return prism(flat, z, half_height);
     }
-    let from_wide = if sin > zero { z + half_height } else { z - half_height };
+    let from_wide = F::select_less(zero, sin, z + half_height, z - half_height);
     let side = flat * cos + from_wide * sin;
     let above = z.abs() - half_height;
     let chamfers = (side + high + z - half_height).most(side + low - z - half_height) * inverse;
-    let is_chamfered = low + high > zero;
     let solid = side.most(above);
-    if is_chamfered { solid.most(chamfers) } else { solid }
+    F::select_less(zero, low + high, solid.most(chamfers), solid)
 }

@@ -12,6 +12,8 @@ pub struct FlatPolygon<F> {
     lower: [F; 2],
     inverse: F,
     pub edges: Vec<[F; EDGE_VALUES]>,
+    /// All edges, for points without values.
+    everywhere: Vec<u32>,
 }
 
 impl<F: Scalar> FlatPolygon<F> {
@@ -26,12 +28,16 @@ impl<F: Scalar> FlatPolygon<F> {
             lower: (scale * grid.lower).to_array().map(F::of),
             inverse: F::of(grid.inverse / scale),
             edges: grid.edges.iter().map(placed).collect(),
+            everywhere: if F::IS_SYMBOLIC { (0..grid.edges.len() as u32).collect() } else { Vec::new() },
         }
     }
 
     /// The edges among which the nearest to a point is.
     #[inline(always)]
     pub fn near(&self, x: F, y: F) -> &[u32] {
+        if F::IS_SYMBOLIC {
+            return &self.everywhere;
+        }
         let grid = &self.region.grid;
         let cell = [(x - self.lower[0]) * self.inverse, (y - self.lower[1]) * self.inverse].map(Scalar::widen);
         let is_within = (0..2).all(|axis| cell[axis] >= 0.0 && cell[axis] < f64::from(grid.counts[axis]));

@@ -26,12 +26,11 @@ use crate::csg::tree::primitive::PARAMETERS;
 use crate::gpu::constants::csg_field::{THREAD_CORE, THREAD_SEARCHES};
 use std::f64::consts::PI;
 
-/// A position `u` along the axis relative to the nearest crest: its magnitude and the other terms of `u`.
+/// The nearest crest to a position `u` along the axis, and the way from it to `u`.
 #[inline(always)]
-fn folded<F: Scalar>(u: F, pitch: F) -> (F, F, bool) {
+fn folded<F: Scalar>(u: F, pitch: F) -> (F, F) {
     let crest = (u / pitch + F::of(0.5)).floor() * pitch;
-    let from = u - crest;
-    (from.abs(), crest, from < F::default())
+    (crest, u - crest)
 }
 
 /// Signed distance to a thread, negative inside.
@@ -47,31 +46,28 @@ pub(crate) fn thread<F: Scalar>([x, y, z]: [F; 3], p: &[F; PARAMETERS]) -> F {
     let flank = [minor - major, root - crest];
     let inverse = one / (flank[0] * flank[0] + flank[1] * flank[1]);
 
-    let (from_crest, ..) = folded(height, pitch);
+    let from_crest = folded(height, pitch).1.abs();
     let limit = major + ((from_crest - crest) / flank[1]).between(zero, one) * flank[0];
-    let is_inside = outer < limit;
 
     // Crests and roots are parts of cylinders, whose nearest point lies in the half plane of the point.
-    let mut nearest = F::of(f64::from(f32::MAX));
-    if from_crest <= crest {
-        nearest = (outer - major).abs();
-    }
-    if from_crest >= root {
-        nearest = nearest.least((outer - minor).abs());
-    }
+    let far = F::of(f64::from(f32::MAX));
+    let to_crest = F::select_less(crest, from_crest, far, (outer - major).abs());
+    let to_root = F::select_less(from_crest, root, far, (outer - minor).abs());
+    let mut nearest = to_crest.least(to_root);
     let mut turn = zero;
     for _ in 0..THREAD_SEARCHES {
         let (cos, sin) = (turn.cos(), turn.sin());
         let (at_r, at_u) = (outer * cos, height - rise * turn);
-        let (v, place, is_below) = folded(at_u, pitch);
+        let (place, from) = folded(at_u, pitch);
+        let v = from.abs();
         let share = ((at_r - major) * flank[0] + (v - crest) * flank[1]) * inverse;
         let share = share.between(zero, one);
         let on_flank = [major + share * flank[0], crest + share * flank[1]];
         nearest = nearest.least(length3([at_r - on_flank[0], v - on_flank[1], outer * sin]));
-        let along = if is_below { place - on_flank[1] } else { place + on_flank[1] };
+        let along = F::select_less(from, zero, place - on_flank[1], place + on_flank[1]);
         turn = rise * (height - along) / (outer * on_flank[0] + rise * rise);
     }
     let inner = (minor - r).most(nearest - (core - r));
-    let distance = if r < core { inner } else { nearest };
-    (if is_inside { -distance } else { distance }) - offset
+    let distance = F::select_less(r, core, inner, nearest);
+    F::select_less(outer, limit, -distance, distance) - offset
 }

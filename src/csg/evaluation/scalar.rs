@@ -19,6 +19,9 @@ pub trait Scalar:
     + Neg<Output = Self>
     + 'static
 {
+    /// Whether the numbers have no values but make a graph; see [`crate::csg::text::graph`].
+    const IS_SYMBOLIC: bool = false;
+
     fn of(value: f64) -> Self;
     fn widen(self) -> f64;
     fn sqrt(self) -> Self;
@@ -37,6 +40,21 @@ pub trait Scalar:
     #[inline(always)]
     fn most(self, other: Self) -> Self {
         if self > other { self } else { other }
+    }
+    /// `then` if `a` is less than `b`, else `otherwise`. Fields have no other branch that depends on the point.
+    #[inline(always)]
+    fn select_less(a: Self, b: Self, then: Self, otherwise: Self) -> Self {
+        if a < b { then } else { otherwise }
+    }
+    /// As [`Scalar::select_less`] for several numbers, of which only the selected ones are computed.
+    #[inline(always)]
+    fn branch_less<const N: usize>(
+        a: Self,
+        b: Self,
+        then: impl FnOnce() -> [Self; N],
+        otherwise: impl FnOnce() -> [Self; N],
+    ) -> [Self; N] {
+        if a < b { then() } else { otherwise() }
     }
     #[inline(always)]
     fn between(self, low: Self, high: Self) -> Self {

@@ -1,5 +1,6 @@
-//! Shapes as text: the language of users, and functions of shaders.
+//! Shapes as text: the language of users, functions of shaders, and graphs of operations.
 
+pub(crate) mod graph;
 pub(crate) mod language;
 pub(crate) mod shader;
 pub(crate) mod specialised_kernel;

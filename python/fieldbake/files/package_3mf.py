@@ -1,0 +1,78 @@
+"""Packages of 3MF: a zip archive with one model, an XML file."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Iterable, Iterator
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.errors import FormatError
+
+#: Namespace of the core specification.
+CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
+
+#: Name of the model in a package.
+_MODEL = "3D/3dmodel.model"
+
+#: Rows that are written at once, between which Ctrl-C ends the work.
+_ROW_BATCH = 1 << 16
+
+#: Largest part of a model that is read, bytes of XML. The functions of a model come before its meshes.
+_MOST_READ = 1 << 26
+
+_TYPES = (
+    '<?xml version="1.0" encoding="UTF-8"?>\n'
+    '<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">'
+    '<Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
+    '<Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/></Types>'
+)
+_RELATIONS = (
+    '<?xml version="1.0" encoding="UTF-8"?>\n'
+    '<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">'
+    f'<Relationship Target="/{_MODEL}" Id="rel0" '
+    'Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/></Relationships>'
+)
+
+
+def write(stream: IO[bytes], model: Iterable[str]) -> None:
+    """Write a package with a model, given as parts of its XML text."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, texts in (("[Content_Types].xml", [_TYPES]), ("_rels/.rels", [_RELATIONS]), (_MODEL, model)):
+            # A fixed date, so that equal models make equal files.
+            info = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
+            info.compress_type = zipfile.ZIP_DEFLATED
+            with archive.open(info, "w") as member:
+                for text in texts:
+                    member.write(text.encode())
+    stream.write(buffer.getvalue())
+
+
+def mesh_texts(vertices: NDArray[np.float64], faces: NDArray[Any]) -> Iterator[str]:
+    """The element of a mesh with vertices (n, 3) and faces (m, 3), with the digits that restore each float64."""
+    yield "<mesh><vertices>"
+    for rows in _batches(vertices):
+        yield "".join(f'<vertex x="{x!r}" y="{y!r}" z="{z!r}"/>' for x, y, z in rows.tolist())
+    yield "</vertices><triangles>"
+    for rows in _batches(faces):
+        yield "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in rows.tolist())
+    yield "</triangles></mesh>"
+
+
+def _batches(rows: NDArray[Any]) -> Iterator[NDArray[Any]]:
+    return (rows[first : first + _ROW_BATCH] for first in range(0, len(rows), _ROW_BATCH))
+
+
+def read_model(stream: IO[bytes]) -> bytes:
+    """Read the beginning of the model of a package, at most 64 MiB of XML."""
+    try:
+        with zipfile.ZipFile(stream) as archive, archive.open(_MODEL) as member:
+            return member.read(_MOST_READ)
+    except KeyError:
+        raise FormatError(f"the package has no {_MODEL}") from None
+    except zipfile.BadZipFile as error:
+        raise FormatError(f"is damaged or not a 3MF package ({error})") from None
