@@ -11,7 +11,7 @@ use crate::csg::evaluation::program::LocalFrame;
 use crate::csg::parts::decompose::shape_of;
 use crate::csg::parts::part::{Method, structure};
 use crate::csg::parts::solid::Solid;
-use crate::csg::text::graph::Graph;
+use crate::csg::text::graph::{Graph, Node};
 use crate::csg::text::language;
 use crate::csg::text::shader::shader;
 use crate::csg::tree::kind::{Blend, Op};
@@ -38,8 +38,9 @@ pub struct Shape {
 /// Boxes of a decomposition, and the end of the boxes of each part.
 type PartArrays<'py> = (Bound<'py, PyArray3<f64>>, Vec<usize>);
 
-/// The name, the inputs and the value of each node of a graph, and the node of the distance.
-type GraphLists = (Vec<&'static str>, Vec<[u32; 4]>, Vec<f64>, u32);
+/// The name, the inputs and the value of each node of a graph, the node of the distance, and the samples of the volumes
+/// (nx, ny, nz). The value of an image is the index of its volume.
+type GraphLists<'py> = (Vec<&'static str>, Vec<[u32; 4]>, Vec<f64>, u32, Vec<Bound<'py, PyArray3<f32>>>);
 
 impl Shape {
     fn of(shape: csg::Shape) -> Self {
@@ -283,15 +284,21 @@ impl Shape {
         Ok((text, shader.numbers.into_pyarray(py)))
     }
 
-    /// The field as a graph of operations; None if it reads a baked volume.
-    fn graph(&self, py: Python<'_>) -> PyResult<Option<GraphLists>> {
+    /// The field as a graph of operations; None if it has no graph.
+    fn graph<'py>(&self, py: Python<'py>) -> PyResult<Option<GraphLists<'py>>> {
         let solid = self.solid(py)?;
-        let graph = py.detach(|| Graph::of(&solid.model));
-        Ok(graph.map(|Graph { nodes, result, .. }| {
-            let names = nodes.iter().map(|node| node.name).collect();
-            let values = nodes.iter().map(|node| node.value().unwrap_or(0.0)).collect();
-            (names, nodes.iter().map(|node| node.inputs).collect(), values, result)
-        }))
+        let Some(graph) = py.detach(|| Graph::of(&solid.model)) else { return Ok(None) };
+        let nodes = &graph.nodes;
+        let value = |node: &Node| node.value().or(node.image().map(|index| index as f64)).unwrap_or(0.0);
+        let images = graph.images.iter();
+        let images = images.map(|volume| volume_array(py, volume.distances().to_vec(), volume.grid().shape));
+        Ok(Some((
+            nodes.iter().map(|node| node.name).collect(),
+            nodes.iter().map(|node| node.inputs).collect(),
+            nodes.iter().map(value).collect(),
+            graph.result,
+            images.collect::<PyResult<_>>()?,
+        )))
     }
 
     /// The boxes of all parts (n, 2, 3), and the ranges of the boxes of each part.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import IO, Any
 
 import numpy as np
@@ -28,28 +28,43 @@ _TYPES = (
     '<?xml version="1.0" encoding="UTF-8"?>\n'
     '<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">'
     '<Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
-    '<Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/></Types>'
+    '<Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/>'
 )
-_RELATIONS = (
-    '<?xml version="1.0" encoding="UTF-8"?>\n'
-    '<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">'
-    f'<Relationship Target="/{_MODEL}" Id="rel0" '
-    'Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/></Relationships>'
-)
+_PNG_TYPE = '<Default Extension="png" ContentType="image/png"/>'
 
 
-def write(stream: IO[bytes], model: Iterable[str]) -> None:
-    """Write a package with a model, given as parts of its XML text."""
+def write(stream: IO[bytes], model: Iterable[str], pictures: Mapping[str, bytes] | None = None) -> None:
+    """Write a package with a model, given as parts of its XML text, and .png files by their paths."""
+    pictures = pictures or {}
+    members: list[tuple[str, Iterable[bytes]]] = [
+        ("[Content_Types].xml", [(_TYPES + _PNG_TYPE * bool(pictures) + "</Types>").encode()]),
+        ("_rels/.rels", [_relations("3dmodel", [_MODEL])]),
+        (_MODEL, (text.encode() for text in model)),
+    ]
+    if pictures:
+        members.append(("3D/_rels/3dmodel.model.rels", [_relations("3dtexture", pictures)]))
+    members += [(path, [picture]) for path, picture in pictures.items()]
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, texts in (("[Content_Types].xml", [_TYPES]), ("_rels/.rels", [_RELATIONS]), (_MODEL, model)):
+        for name, parts in members:
             # A fixed date, so that equal models make equal files.
             info = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
-            info.compress_type = zipfile.ZIP_DEFLATED
+            info.compress_type = zipfile.ZIP_STORED if name.endswith(".png") else zipfile.ZIP_DEFLATED
             with archive.open(info, "w") as member:
-                for text in texts:
-                    member.write(text.encode())
+                for part in parts:
+                    member.write(part)
     stream.write(buffer.getvalue())
+
+
+def _relations(kind: str, paths: Iterable[str]) -> bytes:
+    """The relations from a part of a package to others of one kind."""
+    rows = (
+        f'<Relationship Target="/{path}" Id="rel{i}" '
+        f'Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/{kind}"/>'
+        for i, path in enumerate(paths)
+    )
+    head = '<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">'
+    return ('<?xml version="1.0" encoding="UTF-8"?>\n' + head + "".join(rows) + "</Relationships>").encode()
 
 
 def mesh_texts(vertices: NDArray[np.float64], faces: NDArray[Any]) -> Iterator[str]:

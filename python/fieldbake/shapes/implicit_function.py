@@ -15,16 +15,18 @@ import os
 import xml.parsers.expat
 from collections.abc import Iterator
 from itertools import chain
-from typing import IO, Any
-from xml.sax.saxutils import escape, quoteattr
+from typing import IO, Any, NamedTuple
+from xml.sax.saxutils import escape
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError, FormatError, ShapeError
 from ..files import package_3mf
 from ..files.container import atomic_write
+from ..files.png import write_grey
 from ..meshes.convert import MeshLike, as_mesh
 
 #: Units of a 3MF model.
@@ -72,16 +74,22 @@ def save_function(
     else:
         mesh = as_mesh(within)
         vertices, faces = mesh.vertices, mesh.faces
-    function = function_text(core)
-    own = {"sexpr": core.to_sexpr(), "sha256": hashlib.sha256(function.encode()).hexdigest()}
+    graph = _graph_of(core)
+    function = "".join(_function_parts(graph))
+    own = {"sha256": hashlib.sha256(function.encode()).hexdigest()}
+    if not graph.images:
+        own["sexpr"] = core.to_sexpr()
     head = (
         '<?xml version="1.0" encoding="UTF-8"?>\n'
         f'<model unit="{unit}" xml:lang="en-US" xmlns="{package_3mf.CORE}" xmlns:v="{_VOLUMETRIC}" '
         f'xmlns:i="{_IMPLICIT}" xmlns:fieldbake="{_OWN}" requiredextensions="v i">'
         f'<metadata name="Application">fieldbake {_core.__version__}</metadata>'
         + "".join(f'<metadata name="fieldbake:{name}">{escape(text)}</metadata>' for name, text in own.items())
-        + f'<resources>{function}<object id="2" type="other">'
+        + "<resources>"
     )
+    images = [_image(index, samples) for index, samples in enumerate(graph.images)]
+    parts = [head, *(text for text, _ in images), function, '<object id="2" type="other">']
+    pictures = {path: picture for _, sheets in images for path, picture in sheets.items()}
     detail = "" if feature is None else f' minfeaturesize="{feature!r}"'
     tail = (
         '</object><object id="3" type="model"><v:levelset functionid="1" channel="shape" meshid="2" '
@@ -89,7 +97,7 @@ def save_function(
         '<build><item objectid="3"/></build></model>'
     )
     with atomic_write(target) as stream:
-        package_3mf.write(stream, chain([head], package_3mf.mesh_texts(vertices, faces), [tail]))
+        package_3mf.write(stream, chain(parts, package_3mf.mesh_texts(vertices, faces), [tail]), pictures)
 
 
 def check_unused(within: object, unit: str, min_feature: object) -> None:
@@ -101,49 +109,69 @@ def check_unused(within: object, unit: str, min_feature: object) -> None:
         raise ArgumentError(f"{name}: only implicit files have it; pass implicit=True")
 
 
-def function_text(core: _core.Shape) -> str:
-    """The element of the function of a shape; ShapeError if the field has none or too many operations."""
-    graph = core.graph()
-    if graph is None:
+class _Graph(NamedTuple):
+    """The operations of a field; see `_core.Shape.graph`."""
+
+    names: list[str]
+    inputs: list[tuple[int, int, int, int]]
+    values: list[float]
+    result: int
+    images: list[NDArray[np.float32]]
+
+
+def _graph_of(core: _core.Shape) -> _Graph:
+    """The graph of a shape; ShapeError if it has none, too many operations, or a number that XML cannot have."""
+    lists = core.graph()
+    if lists is None:
+        raise ShapeError("the field has no graph of operations; save the shape as a mesh, without implicit=True")
+    graph = _Graph(*lists)
+    if len(graph.names) > MOST_NODES:
         raise ShapeError(
-            "the shape contains a baked volume, which is no arithmetic of the position; save it as a mesh, without "
-            "implicit=True"
+            f"the implicit function of the shape would have {len(graph.names):,} nodes, and has at most "
+            f"{MOST_NODES:,}; simplify the shape or save it as a mesh, without implicit=True"
         )
-    names, inputs, values, result = graph
-    if len(names) > MOST_NODES:
-        raise ShapeError(
-            f"the implicit function of the shape would have {len(names):,} nodes, and has at most {MOST_NODES:,}; "
-            "simplify the shape or save it as a mesh, without implicit=True"
-        )
-    if not all(map(math.isfinite, values)):
+    if not all(map(math.isfinite, graph.values)):
         raise ShapeError("a parameter of the field is not finite; save the shape as a mesh, without implicit=True")
-    return "".join(_function_parts(names, inputs, values, result))
+    return graph
 
 
-def _function_parts(
-    names: list[str], inputs: list[tuple[int, int, int, int]], values: list[float], result: int
-) -> Iterator[str]:
-    outputs = [_output(i, name) for i, name in enumerate(names)]
+def _function_parts(graph: _Graph) -> Iterator[str]:
+    outputs = [_output(i, name) for i, name in enumerate(graph.names)]
     yield '<i:implicitfunction id="1" displayname="shape"><i:in><i:vector identifier="pos" displayname="pos"/></i:in>'
     yield '<i:decomposevector identifier="point" displayname="point">'
-    yield '<i:in><i:vectorref identifier="A" ref="inputs.pos"/></i:in><i:out>'
-    yield "".join(f'<i:scalar identifier="{axis}" displayname="{axis}"/>' for axis in "xyz")
-    yield "</i:out></i:decomposevector>"
-    for i, (name, value) in enumerate(zip(names, values, strict=True)):
+    yield '<i:in><i:vectorref identifier="A" ref="inputs.pos"/></i:in>'
+    yield _out(*"xyz") + "</i:decomposevector>"
+    for index in range(len(graph.images)):
+        attributes = f'identifier="image{index}" displayname="image{index}" value="{_image_id(index) + 1}"'
+        out = '<i:out><i:resourceid identifier="value" displayname="value"/></i:out>'
+        yield f"<i:constresourceid {attributes}>{out}</i:constresourceid>"
+    for i, (name, value) in enumerate(zip(graph.names, graph.values, strict=True)):
         if name in ("x", "y", "z"):
             continue
         attributes = f'identifier="n{i}" displayname="n{i}"'
         if name == "constant":
             yield f'<i:constant {attributes} value="{value!r}">{_out("value")}</i:constant>'
             continue
+        if name == "image":
+            at = f'identifier="n{i}_at" displayname="n{i}_at"'
+            scalars = _references("xyz", graph.inputs[i], outputs)
+            vector = '<i:out><i:vector identifier="result" displayname="result"/></i:out>'
+            yield f"<i:composevector {at}><i:in>{scalars}</i:in>{vector}</i:composevector>"
+            yield f'<i:functioncall {attributes}><i:in><i:resourceref identifier="functionID" '
+            yield f'ref="image{value:.0f}.value"/><i:vectorref identifier="pos" ref="n{i}_at.result"/></i:in>'
+            yield f"{_out('red')}</i:functioncall>"
+            continue
         letters = "ABCD"[: _INPUTS.get(name, 2)]
-        references = (
-            f'<i:scalarref identifier="{letter}" ref="{outputs[source]}"/>'
-            for letter, source in zip(letters, inputs[i], strict=False)
-        )
-        yield f"<i:{name} {attributes}><i:in>{''.join(references)}</i:in>{_out('result')}</i:{name}>"
-    yield f'<i:out><i:scalarref identifier="shape" displayname="shape" ref="{outputs[result]}"/></i:out>'
+        yield f"<i:{name} {attributes}><i:in>{_references(letters, graph.inputs[i], outputs)}</i:in>"
+        yield f"{_out('result')}</i:{name}>"
+    yield f'<i:out><i:scalarref identifier="shape" displayname="shape" ref="{outputs[graph.result]}"/></i:out>'
     yield "</i:implicitfunction>"
+
+
+def _references(letters: str, sources: tuple[int, ...], outputs: list[str]) -> str:
+    """The inputs of a node."""
+    pairs = zip(letters, sources, strict=False)
+    return "".join(f'<i:scalarref identifier="{letter}" ref="{outputs[source]}"/>' for letter, source in pairs)
 
 
 #: Number of inputs of the operations that do not have two.
@@ -153,11 +181,40 @@ _INPUTS = {**dict.fromkeys(("sqrt", "abs", "sin", "cos", "floor"), 1), "select":
 def _output(i: int, name: str) -> str:
     if name in ("x", "y", "z"):
         return f"point.{name}"
-    return f"n{i}.value" if name == "constant" else f"n{i}.result"
+    return f"n{i}." + {"constant": "value", "image": "red"}.get(name, "result")
 
 
-def _out(name: str) -> str:
-    return f"<i:out><i:scalar identifier={quoteattr(name)} displayname={quoteattr(name)}/></i:out>"
+def _out(*names: str) -> str:
+    return "<i:out>" + "".join(f'<i:scalar identifier="{name}" displayname="{name}"/>' for name in names) + "</i:out>"
+
+
+def _image_id(index: int) -> int:
+    """Identifier of an image; its function has the next one."""
+    return 10 + 2 * index
+
+
+def _image(index: int, samples: NDArray[np.float32]) -> tuple[str, dict[str, bytes]]:
+    """The elements of an image and of its function, and the sheets along z, from samples (nx, ny, nz).
+
+    A texel has 16 bits of the range from -r to r, where r is the largest magnitude of the samples. Row 0 of a sheet is
+    the largest y.
+    """
+    width, height, count = samples.shape
+    reach = float(np.abs(samples).max()) or 1.0
+    folder, own = f"3D/volume{index}", _image_id(index)
+    sheets = {}
+    for z in range(count):
+        texels = np.rint((samples[:, ::-1, z].T.astype(np.float64) / reach + 1) * 32767.5).astype(np.uint16)
+        sheets[f"{folder}/sheet{z:05}.png"] = write_grey(texels)
+    text = (
+        f'<v:image3d id="{own}" name="volume{index}">'
+        f'<v:imagestack rowcount="{height}" columncount="{width}" sheetcount="{count}">'
+        + "".join(f'<v:imagesheet path="/{path}"/>' for path in sheets)
+        + f'</v:imagestack></v:image3d><v:functionfromimage3d id="{own + 1}" displayname="volume{index}" '
+        f'image3did="{own}" valueoffset="{-reach!r}" valuescale="{2 * reach!r}" tilestyleu="clamp" '
+        'tilestylev="clamp" tilestylew="clamp" filter="linear"/>'
+    )
+    return text, sheets
 
 
 def read_function(stream: IO[bytes]) -> str:
@@ -203,10 +260,12 @@ def read_function(stream: IO[bytes]) -> str:
         raise FormatError(f"the model is not valid XML ({error})") from None
     if not ends:
         raise FormatError("has no implicit function; meshes are read by load_mesh or bake")
-    if "fieldbake:sexpr" not in metadata:
+    if "fieldbake:sha256" not in metadata:
         program = metadata.get("Application", "another program")[:60]
         raise FormatError(f"written by {program}; only fieldbake's own functions become shapes")
     function = model[start[0] : model.index(b">", ends[0]) + 1]
     if hashlib.sha256(function).hexdigest() != metadata.get("fieldbake:sha256"):
         raise FormatError("the function was changed after fieldbake wrote it, so the shape is unknown")
+    if "fieldbake:sexpr" not in metadata:
+        raise FormatError("the shape contains a baked volume, which the file has as pictures of 16 bits only")
     return metadata["fieldbake:sexpr"]

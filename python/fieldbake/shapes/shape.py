@@ -627,7 +627,8 @@ class Shape(Viewable, Sectioned):
             Voxels along the longest side of the box, or along x, y and z; 128 by default.
         implicit : bool, default False
             Whether a ``.3mf`` file has the field as an implicit function in place of triangles (3MF extensions
-            *Volumetric* 2022/01 and *Implicit* 2023/12): the shape without a resolution. :func:`load` reads it.
+            *Volumetric* 2022/01 and *Implicit* 2023/12): the shape without a resolution. :func:`load` reads it, unless
+            it contains a baked volume, which the file has as pictures of 16 bits.
         within : Mesh, or anything :func:`bake` takes, optional
             Mesh that clips the implicit solid. By default the solid is the whole shape, in the box :attr:`bounds`.
         unit : str, default "millimeter"
@@ -644,7 +645,7 @@ class Shape(Viewable, Sectioned):
             For another ending, before any work, or if the shape has no surface in the box.
         ShapeError
             If a part has no bounds; give `bounds` then, or `within` for an implicit file. Also for `within` without
-            `implicit`, for an implicit shape with a baked volume, and for one of more than 20,000 operations.
+            `implicit`, and for an implicit shape of more than 20,000 operations.
         ArgumentError
             For a `unit` or `min_feature` that is not valid or has no use, and for a resolution of an implicit file.
         OSError

@@ -126,7 +126,7 @@ macro_rules! declare {
                         each!(leaf, at, |[x, y, z]| field::extrude(flat.distance(x, y), z, p))
                     }
                     LeafField::Revolve(flat) => each!(leaf, at, |[x, y, z]| flat.distance(length2(x, y) - p[0], z)),
-                    LeafField::Volume(volume, placed) => each!(leaf, at, |q| placed.distance(volume.distances(), q)),
+                    LeafField::Volume(volume, placed) => each!(leaf, at, |q| placed.distance(volume, q)),
                 }
             }
         }

@@ -1,7 +1,9 @@
 //! The arithmetic of evaluation, for float32 (pictures, grids) and float64 (queries, gradients).
 
+use crate::csg::tree::volume_leaf::VolumeLeaf;
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
+use std::sync::Arc;
 
 /// A floating-point number.
 pub trait Scalar:
@@ -45,6 +47,11 @@ pub trait Scalar:
     #[inline(always)]
     fn select_less(a: Self, b: Self, then: Self, otherwise: Self) -> Self {
         if a < b { then } else { otherwise }
+    }
+    /// The sample of a volume at a position in voxels, for symbols; numbers are interpolated.
+    #[inline(always)]
+    fn image_sample(_volume: &Arc<VolumeLeaf>, _at: [Self; 3]) -> Option<Self> {
+        None
     }
     /// As [`Scalar::select_less`] for several numbers, of which only the selected ones are computed.
     #[inline(always)]

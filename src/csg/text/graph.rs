@@ -8,11 +8,13 @@
 use crate::csg::evaluation::program::{LocalFrame, Program, Stack};
 use crate::csg::evaluation::scalar::Scalar;
 use crate::csg::model::lowered::Model;
+use crate::csg::tree::volume_leaf::VolumeLeaf;
 use glam::DVec3;
 use rustc_hash::FxHashMap;
 use std::cell::RefCell;
 use std::cmp::Ordering;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
+use std::sync::Arc;
 
 /// An operation of the graph. The names are the names of the nodes in the implicit extension of 3MF.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -20,7 +22,7 @@ pub(crate) struct Node {
     pub name: &'static str,
     /// Indices of earlier nodes; unused ones are zero.
     pub inputs: [u32; 4],
-    /// The bits of the value of a `constant`, else zero.
+    /// The bits of the value of a `constant`, the index of the volume of an `image`, else zero.
     bits: u64,
 }
 
@@ -34,6 +36,11 @@ impl Node {
     pub(crate) fn value(&self) -> Option<f64> {
         (self.name == "constant").then(|| f64::from_bits(self.bits))
     }
+
+    /// The index of the volume of an image.
+    pub(crate) fn image(&self) -> Option<usize> {
+        (self.name == "image").then_some(self.bits as usize)
+    }
 }
 
 /// The nodes of a field, each after its inputs. The nodes 1 to 3 are the coordinates `x`, `y` and `z` of the point.
@@ -43,13 +50,15 @@ pub(crate) struct Graph {
     index: FxHashMap<Node, u32>,
     /// The node of the distance.
     pub result: u32,
+    /// The volumes of the nodes `image`, whose inputs are the position in the box of the volume, 0 to 1 along x, y and
+    /// z, and whose value is the trilinear sample.
+    pub images: Vec<Arc<VolumeLeaf>>,
     /// Whether a branch or an index depended on a symbol.
     is_incomplete: bool,
 }
 
 impl Graph {
-    /// The graph of a model in world units; None if the field cannot be written as arithmetic, since it reads a baked
-    /// volume.
+    /// The graph of a model in world units; None if the field has a branch that no graph has.
     pub(crate) fn of(model: &Model) -> Option<Self> {
         let mut graph = Self::default();
         graph.add(Node::constant(0.0));
@@ -79,7 +88,7 @@ impl Graph {
             }
         }
         let mut places = vec![0; self.nodes.len()];
-        let mut kept = Self::default();
+        let mut kept = Self { images: self.images, ..Self::default() };
         for (i, node) in self.nodes.into_iter().enumerate().filter(|&(i, _)| is_needed[i]) {
             places[i] = kept.nodes.len() as u32;
             kept.nodes.push(Node { inputs: node.inputs.map(|input| places[input as usize]), ..node });
@@ -242,6 +251,21 @@ impl Scalar for Symbol {
     ) -> [Self; N] {
         let (then, otherwise) = (then(), otherwise());
         std::array::from_fn(|i| Self::select_less(a, b, then[i], otherwise[i]))
+    }
+
+    fn image_sample(volume: &Arc<VolumeLeaf>, at: [Self; 3]) -> Option<Self> {
+        let bits = GRAPH.with_borrow_mut(|graph| {
+            let earlier = graph.images.iter().position(|other| Arc::ptr_eq(other, volume));
+            earlier.unwrap_or_else(|| {
+                graph.images.push(volume.clone());
+                graph.images.len() - 1
+            })
+        });
+        let shape = volume.grid().shape;
+        let share = |axis: usize| (at[axis] + Self::of(0.5)) / Self::of(shape[axis] as f64);
+        let [Self(u), Self(v), Self(w)] = [share(0), share(1), share(2)];
+        let node = Node { name: "image", inputs: [u, v, w, 0], bits: bits as u64 };
+        Some(Self(GRAPH.with_borrow_mut(|graph| graph.add(node))))
     }
 
     fn select_less(a: Self, b: Self, then: Self, otherwise: Self) -> Self {
