@@ -214,7 +214,7 @@ impl Pack {
 
     /// The triangles whose value is at most `limit`, in order of their lanes.
     #[inline(always)]
-    pub(super) fn lanes_within(&self, values: &[f32; WIDTH], limit: f32) -> impl Iterator<Item = usize> + use<> {
+    pub(crate) fn lanes_within(&self, values: &[f32; WIDTH], limit: f32) -> impl Iterator<Item = usize> + use<> {
         let mut mask = mask_within(values, limit) & u32::from(self.mask());
         std::iter::from_fn(move || {
             let lane = (mask != 0).then(|| mask.trailing_zeros() as usize % WIDTH)?;

@@ -14,14 +14,15 @@
 
 use super::nearest::outward_normal;
 use super::{check_points, evaluate_in_order, prepare};
-use crate::bvh::Bvh;
 use crate::bvh::rays::watertight::Ray;
+use crate::bvh::{Bvh, Stack};
 use crate::error::{ArgumentError, Error};
 use crate::geometry::{closest_point_on_triangle, triangle_cross};
 use crate::gpu::Place;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 use crate::sign::SignMethod;
+use crate::simd::with_vectors;
 use glam::DVec3;
 
 /// Sine of 15 degrees. Neighbouring facets that differ by less are one side of the body.
@@ -86,6 +87,15 @@ impl Ball {
     fn is_bounded_at(&self, q: DVec3) -> bool {
         let chord = self.apex() - q;
         chord.dot(self.normal) >= FLAT * chord.length()
+    }
+
+    /// Whether no point of a triangle may bound the ball, by its first corner and its longest edges: the height above
+    /// the cone changes by at most 1 + [`FLAT`] of the way.
+    fn is_clear_of(&self, [a, b, c]: [DVec3; 3]) -> bool {
+        let chord = self.apex() - a;
+        let height = chord.dot(self.normal) - FLAT * chord.length();
+        let way = (b - a).length_squared().max((c - a).length_squared()).sqrt();
+        height < -(1.0 + FLAT) * way - ROUNDING
     }
 
     /// The apex of the cone of points that may bound the ball. It lies below the point by its rounding, which would
@@ -191,20 +201,34 @@ fn radius(mesh: &Mesh, point: DVec3, normal: DVec3) -> f64 {
 }
 
 /// The largest ball that no triangle bounds. `ball` contains all triangles that may bound a smaller one.
+///
+/// The nearest triangles are searched first. The balls become smaller, each inside the one before, so a triangle
+/// outside the least ball so far bounds none. In the centre of a round body all triangles are in the first ball, and
+/// few in the least one.
 fn beside_all_triangles(mesh: &Mesh, ball: Ball) -> Ball {
-    let (mut least, center) = (ball, ball.center());
-    let reach = center.abs().max_element();
-    let limit = ball.radius as f32 + Bvh::nearest_slack(reach);
-    mesh.bvh_within(reach).faces_within(center.as_vec3(), limit, |face| {
-        let corners = mesh.exact_triangle(face);
-        let nearest = closest_point_on_triangle(least.center(), corners).point;
-        if nearest.distance(least.center()) <= least.radius * (1.0 + 1e-9) {
-            // Each triangle is searched from the same ball, so that their order in the tree does not change the result.
-            let found = ball.beside_triangle(corners);
-            least.radius = least.radius.min(found.radius);
+    with_vectors!((mesh: &Mesh = mesh, ball: Ball = ball) -> Ball {
+        let (mut least, center) = (ball, ball.center());
+        let reach = center.abs().max(ball.point.abs()).max_element();
+        let (bvh, slack) = (mesh.bvh_within(reach), Bvh::nearest_slack(reach));
+        let limit = |ball: &Ball| (ball.radius as f32 + slack).powi(2);
+        let mut stack = Stack::of_root();
+        while let Some(index) = bvh.next_pack(&mut stack, center.as_vec3(), limit(&ball)) {
+            let pack = &bvh.packs[index];
+            let found = pack.distances_squared(least.center().as_vec3());
+            for lane in pack.lanes_within(&found, limit(&least)) {
+                let corners = mesh.exact_triangle(pack.face(lane));
+                if ball.is_clear_of(corners) {
+                    continue;
+                }
+                let nearest = closest_point_on_triangle(least.center(), corners).point;
+                if nearest.distance(least.center()) <= least.radius * (1.0 + 1e-9) {
+                    // Each triangle is searched from the same ball, so that their order does not change the result.
+                    least.radius = least.radius.min(ball.beside_triangle(corners).radius);
+                }
+            }
         }
-    });
-    least
+        least
+    })
 }
 
 fn check_normals(points: &[[f64; 3]], normals: Option<&[[f64; 3]]>) -> Result<(), ArgumentError> {
