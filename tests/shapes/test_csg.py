@@ -514,3 +514,9 @@ def test_shapes_do_not_change():
         _ = shape | 3
     assert pickle.loads(pickle.dumps(shape.translate((1, 2, 3)))) == shape.translate((1, 2, 3))
     assert "sphere" in repr(shape)
+
+
+@pytest.mark.parametrize("call", [lambda shape: shape.to_mesh(16), lambda shape: fb.bake(shape, 16)])
+def test_a_shape_of_parts_that_do_not_overlap_has_no_grid(call):
+    with pytest.raises(fb.ArgumentError, match="parts do not overlap"):
+        call(fb.sphere() & fb.sphere().translate((5, 0, 0)))

@@ -264,6 +264,7 @@ def test_equal_shapes_make_equal_files(tmp_path):
         (BALL, "a.3mf", {"implicit": True, "unit": "mile"}, fb.ArgumentError, "unit"),
         (BALL, "a.3mf", {"implicit": True, "min_feature": 0}, fb.ArgumentError, "min_feature"),
         (BALL, "a.3mf", {"within": CUBE.to_mesh(8)}, fb.ShapeError, "within"),
+        (BALL & CUBE.translate((5, 0, 0)), "a.3mf", {"implicit": True}, fb.ShapeError, "is empty"),
         (BALL, "a.3mf", {"unit": "inch"}, fb.ArgumentError, "unit"),
         (BALL, "a.3mf", {"min_feature": 1}, fb.ArgumentError, "min_feature"),
         (fb.gyroid(1, 0.1), "a.3mf", {"implicit": True}, fb.ShapeError, "within"),

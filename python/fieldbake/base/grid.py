@@ -94,6 +94,11 @@ def make_grid(
     box = inner if outer is None else outer
     center = (box[0] + box[1]) / 2
     extent = box[1] - box[0]
+    if not (extent > 0).any():
+        raise ArgumentError(
+            f"bounds: the box is the point {box[0].tolist()}, which has no voxels; a shape is empty if its "
+            "parts do not overlap"
+        )
     wanted = extent * (1 + margin) if outer is None else extent
     border_voxels = (2.0 if outer is None else 0.0) * np.broadcast_to(np.asarray(border, dtype=np.float64), 3)
 

@@ -69,6 +69,8 @@ def save_function(
             lower, upper = core.bounds()
         except ShapeError as error:
             raise ShapeError(f"{error}; pass within=, a mesh that clips the solid") from None
+        if lower == upper:
+            raise ShapeError("shape: is empty, so there is no solid to save")
         corners = np.arange(8)[:, None] >> np.arange(3) & 1
         vertices, faces = np.where(corners, upper, lower), np.reshape(_BOX_CORNERS, (-1, 3))
     else:
