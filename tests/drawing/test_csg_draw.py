@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fieldbake as fb
-import truth_csg as truth
+import truth_trees as truth
 from compare import exceeds
 from pictures import DEPTH_TOLERANCE, differing_pixels, has_volume
 

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 import fieldbake as fb
 import truth_csg as truth
+import truth_trees
 from fieldbake.cli.application import app
 
 #: The tree of the article.
@@ -57,7 +58,7 @@ def test_boxes_are_tight_under_any_turn(solid):
     if solid.name == "thread":
         pytest.skip("the box of the rod is the box of its cylinder")
     shape = solid.shape.rotate((1, 2, -1), 37).translate((0.3, -2, 5))
-    surface = solid.surface @ truth.turn((1, 2, -1), 37).T + (0.3, -2, 5)
+    surface = solid.surface @ truth_trees.turn((1, 2, -1), 37).T + (0.3, -2, 5)
 
     assert (surface >= shape.bounds[0] - 1e-12).all()
     assert (surface <= shape.bounds[1] + 1e-12).all()

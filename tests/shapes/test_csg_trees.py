@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fieldbake as fb
-import truth_csg as truth
+import truth_trees as truth
 from pictures import differing_pixels, has_volume
 
 #: Distances are rounded to float32 once: half an ulp of the largest, which is below 8 here, and rounding in float64.

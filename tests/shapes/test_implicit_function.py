@@ -15,6 +15,7 @@ from PIL import Image
 import fieldbake as fb
 import meshes
 import truth_csg
+import truth_trees
 
 MODEL = "3D/3dmodel.model"
 IMPLICIT = "{http://schemas.3mf.io/3dmanufacturing/implicit/2023/12}"
@@ -139,7 +140,7 @@ def test_the_graph_has_the_values_of_the_shape(name, tmp_path):
 
 
 @settings(max_examples=20, deadline=None)
-@given(truth_csg.trees)
+@given(truth_trees.trees)
 def test_the_graphs_of_random_trees(tmp_path_factory, tree):
     check_values(tree.shape, tmp_path_factory.mktemp("tree") / "part.3mf", box=3)
 

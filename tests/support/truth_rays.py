@@ -15,7 +15,7 @@ import numpy as np
 
 import fieldbake as fb
 from fieldbake.shapes.shape import combine as combine_shapes
-from truth_csg import turn
+from truth_trees import turn
 
 #: Crossings that are nearer to each other, world units, are one. Rounding is below 1e-12 where the sine of the angle
 #: between ray and face is above 1e-3, and the models' features are 0.1 apart.
