@@ -50,7 +50,7 @@ fn contains_each(mesh: &Mesh, points: &[[f64; 3]], rule: &SignRule, progress: &P
     // The box contains float32 positions.
     let (lower, upper) = (bounds.min.as_dvec3() - BOX_ROUNDING, bounds.max.as_dvec3() + BOX_ROUNDING);
     let closed = mesh.topology().closed;
-    if closed && matches!(rule, SignRule::Counted(_)) {
+    if matches!(rule, SignRule::Counted(_)) {
         mesh.ray_packs();
     }
     let ordered = evaluate_in_order(&Place::Cpu, mesh, points, progress, |walk, p, row| {
@@ -61,11 +61,7 @@ fn contains_each(mesh: &Mesh, points: &[[f64; 3]], rule: &SignRule, progress: &P
             }
             // No point outside the box of a closed surface is inside.
             SignRule::Counted(_) if closed && (p.cmplt(lower).any() || p.cmpgt(upper).any()) => false,
-            rule if closed && matches!(rule, SignRule::Counted(_)) => match mesh.winding_by_ray(p) {
-                Some(winding) => winding != 0,
-                None => rule.is_inside_without_distance(mesh, p),
-            },
-            rule => walk.sides.is_inside_without_distance(rule, mesh, p),
+            rule => walk.sides.is_inside_by_ray(rule, mesh, p),
         }
     })?;
     ordered.into_rows(progress)

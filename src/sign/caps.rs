@@ -17,8 +17,11 @@ pub(super) struct CapPack {
     distances: Pack,
 }
 
-/// Largest rounding error of the solid angle of a lane, steradians; see [`CapPack::angles`].
-pub(super) const ANGLE_ERROR: f64 = 1e-4;
+/// Rounding error of the numerator and of the denominator of a solid angle, as a fraction of the product of the
+/// lengths: about 30 roundings of 6e-8.
+const PRODUCT_ERROR: f32 = 2e-6;
+/// Largest error of [`arctangent`], radians.
+const ARCTANGENT_ERROR: f32 = 5e-6;
 /// A numerator below this fraction of the product of lengths has no certain sign in float32. The vectors from the point
 /// to the corners are rounded by a fraction of 6e-8 of their lengths, and three of them are multiplied. The rounding of
 /// the point itself is not included: near a small triangle it is larger than this fraction of the lengths.
@@ -52,17 +55,19 @@ impl CapPack {
         [x[lane] - p.x, y[lane] - p.y, z[lane] - p.z]
     }
 
-    /// Sum of the solid angles as seen from `p`, each within [`ANGLE_ERROR`]. None if `p` is so close to a triangle
-    /// that float32 cannot determine the side. The caller excludes points whose rounding to float32 changes the angles.
+    /// Sum of the solid angles as seen from `p`, steradians, and its largest error by the rounding of float32. None if
+    /// `p` is so close to a triangle that float32 cannot determine the side. The caller accounts for the rounding of
+    /// `p` and of the corners themselves.
     ///
     /// Uses the formula of [`crate::geometry::solid_angle`].
-    pub(super) fn angles(&self, p: Vec3) -> Option<f32> {
-        with_vectors!((pack: &CapPack = self, p: Vec3 = p) -> Option<f32> { pack.angles_by_lanes(p) })
+    pub(super) fn angles(&self, p: Vec3) -> Option<(f32, f32)> {
+        with_vectors!((pack: &CapPack = self, p: Vec3 = p) -> Option<(f32, f32)> { pack.angles_by_lanes(p) })
     }
 
     #[inline(always)]
-    fn angles_by_lanes(&self, p: Vec3) -> Option<f32> {
+    fn angles_by_lanes(&self, p: Vec3) -> Option<(f32, f32)> {
         let mut sum = [0.0f32; WIDTH];
+        let mut error = [0.0f32; WIDTH];
         let mut doubtful = [0.0f32; WIDTH];
         for i in 0..WIDTH {
             let (a, b, c) = (self.corner(0, i, p), self.corner(1, i, p), self.corner(2, i, p));
@@ -73,13 +78,16 @@ impl CapPack {
             let lengths = la * lb * lc;
             let denominator = lengths + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb;
             sum[i] = 2.0 * arctangent(numerator, denominator);
+            let (n, d) = (numerator.abs(), denominator.abs());
+            let largest = if n > d { n } else { d };
+            error[i] = 2.0 * (PRODUCT_ERROR * lengths / largest + ARCTANGENT_ERROR);
             // The angle jumps only if the point lies in the plane of the triangle, inside its edges.
             let flat = numerator.abs() - FLAT * lengths;
             let behind = denominator - FLAT * lengths;
             doubtful[i] = if flat > behind { flat } else { behind };
         }
         let worst = doubtful.iter().fold(f32::INFINITY, |worst, &x| if x < worst { x } else { worst });
-        (worst > 0.0).then(|| sum.iter().sum())
+        (worst > 0.0).then(|| (sum.iter().sum(), error.iter().sum()))
     }
 
     /// Squared distance of `p` to the nearest triangle, and the sum over the rim edges of length / (distance -
@@ -148,15 +156,29 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(3000))]
         #[test]
         fn lanes_match_float64(p in vector(), caps in proptest::collection::vec([vector(), vector(), vector()], 1..8)) {
-            if let Some(found) = pack(&caps).angles(p.as_vec3()) {
+            if let Some((found, error)) = pack(&caps).angles(p.as_vec3()) {
                 let exact: f64 = caps.iter().map(|cap| solid_angle(cap.map(|corner| corner - p))).sum();
-                prop_assert!((f64::from(found) - exact).abs() < ANGLE_ERROR * caps.len() as f64, "{found} {exact}");
+                prop_assert!((f64::from(found) - exact).abs() <= f64::from(error), "{found} {exact} {error}");
+            }
+        }
+
+        #[test]
+        fn lanes_match_float64_beside_edges(
+            [a, b, c] in [vector(), vector(), vector()],
+            t in 0.0..1.0f64,
+            offset in vector(),
+            exponent in 0.0..6.0f64,
+        ) {
+            let p = (a.lerp(b, t) + offset * 0.1f64.powf(exponent)).as_vec3();
+            if let Some((found, error)) = pack(&[[a, b, c]]).angles(p) {
+                let exact = solid_angle([a, b, c].map(|corner| corner - p.as_dvec3()));
+                prop_assert!((f64::from(found) - exact).abs() <= f64::from(error), "{found} {exact} {error}");
             }
         }
 
         #[test]
         fn the_arc_tangent_is_good_to_a_few_millionths(y in -1.0..1.0f32, x in -1.0..1.0f32) {
-            prop_assert!((arctangent(y, x) - y.atan2(x)).abs() < 5e-6);
+            prop_assert!((arctangent(y, x) - y.atan2(x)).abs() <= ARCTANGENT_ERROR);
         }
     }
 

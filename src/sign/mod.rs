@@ -234,6 +234,17 @@ impl SideWalk {
         inside
     }
 
+    /// [`SignRule::is_inside_without_distance`] of the next point, by the tables of rays where a ray suffices.
+    pub fn is_inside_by_ray(&mut self, rule: &SignRule, mesh: &Mesh, p: DVec3) -> bool {
+        match rule {
+            SignRule::Counted(openings) => match openings.winding_by_ray(mesh, p) {
+                Some(winding) => winding != self.rounded(openings, p),
+                None => self.counted(openings, mesh, p),
+            },
+            _ => rule.is_inside_without_distance(mesh, p),
+        }
+    }
+
     /// [`SignRule::is_inside_without_distance`] of the next point.
     pub fn is_inside_without_distance(&mut self, rule: &SignRule, mesh: &Mesh, p: DVec3) -> bool {
         match rule {
@@ -242,15 +253,19 @@ impl SideWalk {
         }
     }
 
-    /// Whether a point is inside. The nearest integer of the fraction is kept for the next points.
+    /// Whether a point is inside.
     fn counted(&mut self, openings: &Openings, mesh: &Mesh, p: DVec3) -> bool {
+        openings.winding(mesh, p) != self.rounded(openings, p)
+    }
+
+    /// The nearest integer of the fraction, which is kept for the next points.
+    fn rounded(&mut self, openings: &Openings, p: DVec3) -> i32 {
         let known = self.fraction.filter(|&(center, radius, _)| p.distance(center) < radius);
-        let rounded = known.map(|(_, _, rounded)| rounded).unwrap_or_else(|| {
+        known.map(|(_, _, rounded)| rounded).unwrap_or_else(|| {
             let (rounded, radius) = openings.rounded_ball(p);
             self.fraction = Some((p, radius * (1.0 - 1e-9), rounded));
             rounded
-        });
-        openings.winding(mesh, p) != rounded
+        })
     }
 }
 

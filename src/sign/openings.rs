@@ -18,7 +18,7 @@
 //! most 2 A / (4 pi distance^3). One value therefore decides a whole ball of samples ([`Openings::rounded_ball`]), and
 //! only samples near an opening have a cost. [`super::winding`] handles meshes that consist of openings.
 
-use super::caps::{ANGLE_ERROR, CapPack};
+use super::caps::CapPack;
 use super::closing::{self, Cap};
 use super::crossing::{Axes, ClosedSurface, crossing};
 use crate::bvh::WIDTH;
@@ -104,11 +104,11 @@ const UNDECIDED: f64 = 0.05;
 
 /// Relative and absolute margin for float32 in a distance: a hundred times its rounding.
 const ROUNDING: f64 = 1e-5;
-/// Squared distance up to which the caps of a leaf are summed in float64: a distance of 3e-4. Rounding to float32 moves
-/// a point near the caps by up to 3e-8, possibly to the other side of a cap. By the law of Biot and Savart it changes
-/// the angle of a leaf at the distance d by at most about 4 * 3e-8 / d steradians, which is within the error of a leaf
-/// from this distance on.
+/// Squared distance up to which the caps of a leaf are summed in float64: a distance of 3e-4.
 const CLOSE_SQUARED: f32 = 1e-7;
+/// Rounding to float32 moves a point and the corners of the caps by up to 3e-8 along each axis. By the law of Biot and
+/// Savart it changes the angle of a leaf at the distance d by at most about this length / d.
+const MOVED: f64 = 2e-7;
 
 impl Openings {
     pub fn of(mesh: &Mesh) -> Self {
@@ -191,13 +191,51 @@ impl Openings {
         winding
     }
 
+    /// [`Openings::winding`] by one ray to the nearest side of the box of the mesh. None if the ray comes close to a
+    /// cap, or passes through an edge or a vertex. Reads the tables of rays.
+    pub fn winding_by_ray(&self, mesh: &Mesh, p: DVec3) -> Option<i32> {
+        let bounds = mesh.bvh().bounds;
+        let ways = [(p - bounds.min.as_dvec3(), -1.0), (bounds.max.as_dvec3() - p, 1.0)];
+        let (mut axis, mut towards, mut shortest) = (0, 1.0, f64::INFINITY);
+        for i in 0..3 {
+            for (way, sign) in ways {
+                if way[i] < shortest {
+                    (axis, towards, shortest) = (i, sign, way[i]);
+                }
+            }
+        }
+        if self.come_close(p, axis, towards) {
+            return None;
+        }
+        let mut direction = DVec3::ZERO;
+        direction[axis] = towards;
+        mesh.winding_by_ray(p, direction)
+    }
+
+    /// Whether a ray along an axis, in its positive or negative direction, meets the ball of a leaf of the caps.
+    fn come_close(&self, p: DVec3, axis: usize, towards: f64) -> bool {
+        let (column, row) = ((axis + 1) % 3, (axis + 2) % 3);
+        let mut i = 0;
+        while let Some(node) = self.nodes.get(i) {
+            let to = node.center - p;
+            if to[column].abs().max(to[row].abs()) > node.radius || to[axis] * towards < -node.radius {
+                i = node.next;
+            } else if node.is_leaf {
+                return true;
+            } else {
+                i += 1;
+            }
+        }
+        false
+    }
+
     /// The integer nearest to the fraction at a point, and the radius of a ball in which it is the same and that
     /// contains no cap. The radius is 0 where the fraction is close to the middle between two integers.
     pub fn rounded_ball(&self, p: DVec3) -> (i32, f64) {
         if self.caps.is_empty() {
             return (0, f64::INFINITY);
         }
-        let angle = self.sum(p, 0.0, COARSE, false);
+        let angle = self.sum(p, Some(0.0), COARSE, false);
         let Some((rounded, margin)) = angle.rounded().filter(|&(_, margin)| margin > UNDECIDED) else {
             return (self.round(p).0, 0.0);
         };
@@ -218,13 +256,18 @@ impl Openings {
 
     /// The nearest integer of the fraction at a point, and whether it is certain.
     fn round(&self, p: DVec3) -> (i32, bool) {
-        if let Some((rounded, margin)) = self.sum(p, 0.0, COARSE, false).rounded()
+        if let Some((rounded, margin)) = self.sum(p, None, COARSE, false).rounded()
             && margin > UNDECIDED
         {
             return (rounded, true);
         }
-        if let Some((rounded, margin)) = self.sum(p, 0.0, FINE, true).rounded() {
-            return (rounded, margin >= UNDECIDED);
+        for exact in [false, true] {
+            let angle = self.sum(p, None, FINE, exact);
+            if let Some((rounded, margin)) = angle.rounded()
+                && (exact || margin >= UNDECIDED || margin + angle.error / (2.0 * PI) < UNDECIDED)
+            {
+                return (rounded, margin >= UNDECIDED);
+            }
         }
         let fraction = self.fraction(p);
         (fraction.round() as i32, (fraction - fraction.round()).abs() <= 0.5 - UNDECIDED)
@@ -272,16 +315,17 @@ impl Openings {
     /// The integer nearest to the fraction everywhere within `radius` of `center`; None if a single value is not
     /// sufficient.
     fn rounded_within(&self, center: DVec3, radius: f64) -> Option<i32> {
-        let angle = self.sum(center, radius, COARSE, false);
+        let angle = self.sum(center, Some(radius), COARSE, false);
         let is_clear = angle.clear > radius * (1.0 + ROUNDING) + ROUNDING;
         let (rounded, margin) = angle.rounded().filter(|_| is_clear)?;
         (margin * 4.0 * PI > radius * angle.slope * (1.0 + ROUNDING)).then_some(rounded)
     }
 
     /// The solid angle of all caps at a point, with an error of at most `error` steradians and the rounding of the
-    /// leaves. The slope holds within `radius`; the sum ends at the first cap within that radius. With `exact` all
-    /// leaves are summed in float64, otherwise only those close to the point.
-    fn sum(&self, p: DVec3, radius: f64, error: f64, exact: bool) -> CapAngle {
+    /// leaves. The slope holds within `radius`; the sum ends at the first cap within that radius. Without a radius,
+    /// there is no slope. With `exact` all leaves are summed in float64, otherwise only those close to the point.
+    fn sum(&self, p: DVec3, radius: Option<f64>, error: f64, exact: bool) -> CapAngle {
+        let (has_slope, radius) = (radius.is_some(), radius.unwrap_or(0.0));
         let mut found = CapAngle { sum: 0.0, error: 0.0, clear: f64::INFINITY, slope: 0.0 };
         let share = error / self.nodes.first().map_or(1.0, |root| root.area.max(f64::MIN_POSITIVE));
         let mut i = 0;
@@ -304,7 +348,12 @@ impl Openings {
             }
             if node.is_leaf {
                 let pack = &self.packs[node.pack];
-                let (nearest, slope) = pack.reach(p.as_vec3(), radius as f32);
+                // Without a slope, the ball of the caps suffices for their distance.
+                let (nearest, slope) = if has_slope || reach < 2.0 * f64::from(CLOSE_SQUARED).sqrt() {
+                    pack.reach(p.as_vec3(), radius as f32)
+                } else {
+                    ((reach * reach) as f32, 0.0)
+                };
                 found.clear = found.clear.min(f64::from(nearest.sqrt()) * (1.0 - ROUNDING) - ROUNDING);
                 found.slope += f64::from(slope);
                 if radius > 0.0 && found.clear <= radius {
@@ -312,9 +361,9 @@ impl Openings {
                 }
                 let is_single = !exact && nearest > CLOSE_SQUARED;
                 match is_single.then(|| pack.angles(p.as_vec3())).flatten() {
-                    Some(sum) => {
+                    Some((sum, error)) => {
                         found.sum += f64::from(sum);
-                        found.error += ANGLE_ERROR * WIDTH as f64;
+                        found.error += f64::from(error) + MOVED / f64::from(nearest.sqrt());
                     }
                     None => found.sum += turns_at(p, self.caps_of(node)) * (4.0 * PI),
                 }

@@ -109,9 +109,9 @@ impl SideGrid {
         Self { lower, cells_per_unit: shape.as_dvec3() / extent, shape, cells }
     }
 
-    /// The place of a point in cells.
+    /// The place of a point in cells. Its whole part is the cell.
     fn place(&self, p: DVec3) -> DVec3 {
-        ((p - self.lower) * self.cells_per_unit).floor()
+        (p - self.lower) * self.cells_per_unit
     }
 
     fn index(&self, cell: UVec3) -> usize {
@@ -121,7 +121,7 @@ impl SideGrid {
     /// The first and the last cell of the box of a face.
     fn range(&self, corners: [DVec3; 3]) -> [UVec3; 2] {
         let [a, b, c] = corners;
-        // Casting saturates at zero.
+        // Casting rounds down, and saturates at zero.
         [a.min(b).min(c), a.max(b).max(c)].map(|p| self.place(p).as_uvec3().min(self.shape - 1))
     }
 
@@ -302,7 +302,7 @@ mod tests {
             let mut p = lower + extent * DVec3::new(random(), random(), random());
             if i % 16 == 0 {
                 // Corners of cells.
-                p = grid.lower + (grid.place(p) + 1.0) / grid.cells_per_unit;
+                p = grid.lower + (grid.place(p).floor() + 1.0) / grid.cells_per_unit;
             }
             let side = grid.side(p);
             let is_known = side.is_some();

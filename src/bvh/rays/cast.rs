@@ -107,22 +107,9 @@ impl Mesh {
         self.traverse_many(rays, near, Occlusion(finish));
     }
 
-    /// The winding number of a local point by one ray to the nearest side of the box. The faces are wound as the
-    /// topology oriented them. None if the ray passes through an edge or a vertex. For closed surfaces.
-    pub fn winding_by_ray(&self, p: DVec3) -> Option<i32> {
-        let bounds = self.bvh().bounds;
-        let (below, above) = (p - bounds.min.as_dvec3(), bounds.max.as_dvec3() - p);
-        let mut direction = DVec3::X;
-        let mut shortest = f64::INFINITY;
-        for axis in 0..3 {
-            for (way, towards) in [(below[axis], -1.0), (above[axis], 1.0)] {
-                if way < shortest {
-                    shortest = way;
-                    direction = DVec3::ZERO;
-                    direction[axis] = towards;
-                }
-            }
-        }
+    /// The winding number of a local point by one ray. The faces are wound as the topology oriented them. None if the
+    /// ray passes through an edge or a vertex. The ray must not leave through an opening of the surface.
+    pub fn winding_by_ray(&self, p: DVec3, direction: DVec3) -> Option<i32> {
         let (mut winding, mut on_edge) = (0, false);
         self.traverse(&Ray { origin: p, direction, t_min: 0.0, t_max: f64::INFINITY }, |hit| {
             on_edge |= hit.zeros != 0;
