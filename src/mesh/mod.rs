@@ -28,6 +28,7 @@ use crate::error::MeshError;
 use crate::geometry::{is_needle, is_on_a_line};
 use derived::DerivedTables;
 use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 use std::sync::OnceLock;
 use topology::Topology;
 
@@ -55,6 +56,10 @@ pub struct Mesh {
     tables: DerivedTables,
 }
 
+/// Number of faces from which a mesh is checked on the threads of the current rayon pool.
+pub const PARALLEL_FACES: usize = 1 << 15;
+/// Number of items of a part that one thread checks at a time.
+const PART: usize = 1 << 14;
 /// The child index of the tree has 31 bits, and faces times three must fit in u32.
 const MAX_FACES: usize = 1 << 30;
 /// Largest local coordinate of a query. The sum of three squared differences stays below 3e38.
@@ -78,22 +83,26 @@ impl Mesh {
         if vertices.is_empty() || faces.is_empty() {
             return Err(MeshError::Empty { vertices: vertices.len(), faces: faces.len() });
         }
-        check_faces(vertices, faces)?;
+        in_parts(faces, |first, part| check_faces(vertices, first, part)).into_iter().collect::<Result<(), _>>()?;
 
+        let is_finite = |vertex: &[f64; 3]| vertex.iter().all(|x| x.is_finite());
+        let corners = |row_of: &(dyn Fn(i64) -> u32 + Sync)| {
+            in_parts(faces, |_, part| part.iter().map(|face| face.map(row_of)).collect::<Vec<_>>()).concat()
+        };
+        if in_parts(vertices, |_, part| part.iter().all(is_finite)).into_iter().all(|all| all) {
+            let rows = (0..vertices.len() as u32).collect();
+            return Self::assemble(vertices.to_vec(), rows, 0, corners(&|index| index as u32));
+        }
         // Keeps every finite vertex, in order.
         let mut kept_row = vec![u32::MAX; vertices.len()];
         let mut source_vertices = Vec::with_capacity(vertices.len());
-        for (row, vertex) in vertices.iter().enumerate() {
-            if vertex.iter().all(|x| x.is_finite()) {
-                kept_row[row] = source_vertices.len() as u32;
-                source_vertices.push(row as u32);
-            }
+        for (row, _) in vertices.iter().enumerate().filter(|(_, vertex)| is_finite(vertex)) {
+            kept_row[row] = source_vertices.len() as u32;
+            source_vertices.push(row as u32);
         }
-
         let world = source_vertices.iter().map(|&row| vertices[row as usize]).collect();
-        let corners: Vec<[u32; 3]> = faces.iter().map(|face| face.map(|index| kept_row[index as usize])).collect();
         let dropped = vertices.len() - source_vertices.len();
-        Self::assemble(world, source_vertices, dropped, &corners)
+        Self::assemble(world, source_vertices, dropped, corners(&|index| kept_row[index as usize]))
     }
 
     /// A mesh of finite vertices and valid faces.
@@ -101,10 +110,10 @@ impl Mesh {
         world: Vec<[f64; 3]>,
         source_vertices: Vec<u32>,
         dropped_vertices: usize,
-        faces: &[[u32; 3]],
+        mut faces: Vec<[u32; 3]>,
     ) -> Result<Self, MeshError> {
         // The box of the vertices that faces use. Stray vertices must not reduce precision.
-        let [lower, upper] = bounds_of(&world, faces);
+        let [lower, upper] = bounds_of(&world, &faces);
         let extent = (upper - lower).max_element();
         if extent > EXTENT_RANGE.1 || (extent > 0.0 && extent < EXTENT_RANGE.0) {
             return Err(MeshError::Extent { extent, min: EXTENT_RANGE.0, max: EXTENT_RANGE.1 });
@@ -113,28 +122,30 @@ impl Mesh {
         let center = rounded_center(lower, upper, scale);
         let inverse_scale = scale.recip();
         let local = |&p: &[f64; 3]| ((DVec3::from_array(p) - center) * inverse_scale).as_vec3();
-        let positions: Vec<Vec3> = world.iter().map(local).collect();
+        let positions = in_parts(&world, |_, part| part.iter().map(local).collect::<Vec<Vec3>>()).concat();
 
-        let mut kept = Vec::with_capacity(faces.len());
-        let mut source_faces = Vec::with_capacity(faces.len());
+        let unusual = in_parts(&faces, |first, part| unusual_faces(&world, first, part)).concat();
+        let count = faces.len();
+        let mut source_faces: Vec<u32> = (0..count as u32).collect();
         let mut repeated = Vec::new();
         let mut flat_faces = Vec::new();
-        for (row, &face) in faces.iter().enumerate() {
-            let [a, b, c] = face.map(|v| world[v as usize]);
-            if a == b || b == c || c == a {
-                repeated.push(face);
-                continue;
+        for (row, is_repeated) in unusual {
+            if is_repeated {
+                repeated.push(faces[row as usize]);
+                source_faces[row as usize] = u32::MAX;
+            } else {
+                flat_faces.push(row - repeated.len() as u32);
             }
-            if is_on_a_line([a, b, c].map(DVec3::from_array)) {
-                flat_faces.push(kept.len() as u32);
-            }
-            kept.push(face);
-            source_faces.push(row as u32);
         }
-        if kept.len() == flat_faces.len() {
-            return Err(MeshError::AllDegenerate { faces: faces.len() });
+        let mut bounds = [lower, upper];
+        if !repeated.is_empty() {
+            source_faces.retain(|&row| row != u32::MAX);
+            faces = source_faces.iter().map(|&row| faces[row as usize]).collect();
+            bounds = bounds_of(&world, &faces);
         }
-        let bounds = if repeated.is_empty() { [lower, upper] } else { bounds_of(&world, &kept) };
+        if faces.len() == flat_faces.len() {
+            return Err(MeshError::AllDegenerate { faces: count });
+        }
 
         Ok(Self {
             center,
@@ -143,7 +154,7 @@ impl Mesh {
             bounds,
             world,
             positions,
-            faces: kept,
+            faces,
             flat_faces,
             repeated,
             dropped_vertices,
@@ -253,9 +264,9 @@ impl Mesh {
         }
         let (source, dropped) = (self.source_vertices.clone(), self.dropped_vertices);
         let mut mesh = if self.repeated.is_empty() {
-            Self::assemble(vertices.to_vec(), source, dropped, &self.faces)?
+            Self::assemble(vertices.to_vec(), source, dropped, self.faces.clone())?
         } else {
-            Self::assemble(vertices.to_vec(), source, dropped, &self.input_faces())?
+            Self::assemble(vertices.to_vec(), source, dropped, self.input_faces())?
         };
         if mesh.has_faces_of(self) {
             let (topology, ()) = rayon::join(
@@ -330,13 +341,34 @@ impl Mesh {
 
 /// Lower and upper corner of the vertices that faces use.
 fn bounds_of(vertices: &[[f64; 3]], faces: &[[u32; 3]]) -> [DVec3; 2] {
-    let (mut lower, mut upper) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for &v in faces.as_flattened() {
-        let p = DVec3::from_array(vertices[v as usize]);
-        lower = lower.min(p);
-        upper = upper.max(p);
+    let join = |[lower, upper]: [DVec3; 2], [low, high]: [DVec3; 2]| [lower.min(low), upper.max(high)];
+    let nothing = [DVec3::INFINITY, DVec3::NEG_INFINITY];
+    let corners = |part: &[[u32; 3]]| {
+        part.as_flattened()
+            .iter()
+            .map(|&v| DVec3::from_array(vertices[v as usize]))
+            .fold(nothing, |b, p| join(b, [p; 2]))
+    };
+    in_parts(faces, |_, part| corners(part)).into_iter().fold(nothing, join)
+}
+
+/// The result of `work` for each part of the items, in order. `work` receives the index of the first item of the part.
+/// Short lists are one part, on this thread.
+fn in_parts<T: Sync, R: Send>(items: &[T], work: impl Fn(usize, &[T]) -> R + Sync) -> Vec<R> {
+    if items.len() < PARALLEL_FACES {
+        return vec![work(0, items)];
     }
-    [lower, upper]
+    items.par_chunks(PART).enumerate().map(|(part, items)| work(part * PART, items)).collect()
+}
+
+/// The rows of the faces that have a repeated position (true), or whose corners lie on a line (false).
+fn unusual_faces(vertices: &[[f64; 3]], first: usize, faces: &[[u32; 3]]) -> Vec<(u32, bool)> {
+    let unusual = |(row, face): (usize, &[u32; 3])| {
+        let corners @ [a, b, c] = face.map(|v| vertices[v as usize]);
+        let is_repeated = a == b || b == c || c == a;
+        (is_repeated || is_on_a_line(corners.map(DVec3::from_array))).then_some(((first + row) as u32, is_repeated))
+    };
+    faces.iter().enumerate().filter_map(unusual).collect()
 }
 
 /// The centre of a box, rounded to multiples of [`CENTER_STEP`] times `scale`.
@@ -355,8 +387,8 @@ fn power_of_two_above(extent: f64) -> f64 {
 }
 
 /// Every index must refer to a vertex, and that vertex must be finite.
-fn check_faces(vertices: &[[f64; 3]], faces: &[[i64; 3]]) -> Result<(), MeshError> {
-    for (face, corners) in faces.iter().enumerate() {
+fn check_faces(vertices: &[[f64; 3]], first: usize, faces: &[[i64; 3]]) -> Result<(), MeshError> {
+    for (face, corners) in (first..).zip(faces) {
         for &index in corners {
             let Some(&[x, y, z]) = usize::try_from(index).ok().and_then(|i| vertices.get(i)) else {
                 return Err(MeshError::IndexOutOfRange { face, index, vertices: vertices.len() });

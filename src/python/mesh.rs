@@ -16,8 +16,9 @@ use pyo3::types::PyDict;
 use std::sync::{Arc, Mutex, TryLockError};
 use std::time::Duration;
 
-/// Number of faces from which a mesh is made by a job: its checks may last longer than a tenth of a second.
-const LARGE: usize = 1 << 19;
+/// Number of faces from which a mesh is made by a job that may be left in the background: its checks may last longer
+/// than a tenth of a second.
+const LARGE: usize = 1 << 21;
 /// Memory of the arrays of a mesh, bytes for each face.
 const BYTES_PER_INPUT_FACE: usize = 64;
 
@@ -30,8 +31,10 @@ impl Mesh {
     #[new]
     fn new(py: Python<'_>, vertices: PyReadonlyArray2<'_, f64>, faces: PyReadonlyArray2<'_, i64>) -> PyResult<Self> {
         let (vertices, faces) = (rows(&vertices, "vertices")?, rows(&faces, "faces")?);
-        let mesh = if faces.len() < LARGE {
+        let mesh = if vertices.len().max(faces.len()) < mesh::PARALLEL_FACES {
             py.detach(|| mesh::Mesh::new(vertices, faces)).map_err(Failure::from)?
+        } else if faces.len() < LARGE {
+            run(py, None, |_| Ok(mesh::Mesh::new(vertices, faces)?))?
         } else {
             // A job that may be left in the background owns its arrays.
             require_rows::<[u8; 2 * BYTES_PER_INPUT_FACE]>("faces", faces.len()).map_err(Failure::from)?;

@@ -25,7 +25,7 @@ from ..meshes.mesh import Mesh
 from ..points.cloud import PointCloud
 from ..points.interop import as_cloud
 from ..queries.clouds import is_signed, report_of
-from ..queries.common import Sign, check_reach, choices
+from ..queries.common import Sign, choices
 from ..shapes.shape import Shape, all_shapes, combine
 from ..volumes.volume import Recipe, Volume
 
@@ -160,7 +160,13 @@ class Job(NamedTuple):
 def place(mesh: Mesh, grid: Grid, sign: str, thickness: float | None) -> Job:
     """Prepare a bake on a given grid with checked options."""
     grown = 0.0 if thickness is None else thickness / 2
-    check_reach("bounds", mesh, np.array([grid.lower, grid.upper]), MAX_GRID_REACH)
+    reach = float(np.abs([grid.lower - mesh.center, grid.upper - mesh.center]).max())
+    size = float((mesh.bounds[1] - mesh.bounds[0]).max())
+    if reach > MAX_GRID_REACH * size:
+        raise ArgumentError(
+            f"bounds: {reach:.3g} away from a mesh of size {size:.3g} is too far; "
+            f"at most {MAX_GRID_REACH:g} times its size"
+        )
     return Job(mesh, grid, mesh.bounds + np.array([[-grown], [grown]]), sign, thickness)
 
 

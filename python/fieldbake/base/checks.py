@@ -108,7 +108,9 @@ def as_float64(array: NDArray[Any]) -> NDArray[np.float64]:
     A long array is copied only if the memory suffices: the values of a broadcast array may take a million times the
     memory of the array.
     """
-    if array.size >= LONG and not (array.dtype == np.float64 and array.flags.c_contiguous):
+    if array.dtype == np.float64 and array.flags.c_contiguous:
+        return array
+    if array.size >= LONG:
         what = f"a float64 array of shape {array.shape}"
         _core.require_memory(what, 8 * array.size, "pass fewer values at a time")
     with np.errstate(over="ignore", invalid="ignore"):

@@ -132,7 +132,7 @@ class Report(Rows):
     @classmethod
     def from_dict(cls, facts: Mapping[str, Any]) -> Report:
         """Make a report from a mapping of attributes, as :meth:`to_dict` returns; unknown keys are ignored."""
-        known = {item.name for item in fields(cls)}
+        known = cls.__dataclass_fields__
         return cls(**{name: value for name, value in facts.items() if name in known})
 
     @classmethod

@@ -76,9 +76,10 @@ class Document:
         text = json.dumps(tagged).encode()
         if is_binary:
             text += b" " * (-len(text) % 4)
-            rest = content[stop:]
-            header = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest))
-            text = header + struct.pack("<I4s", len(text), b"JSON") + text + rest
+            # The other chunks, which are long, are copied once.
+            rest = memoryview(content)[stop:]
+            header = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON")
+            text = b"".join((header, text, rest))
         #: The edited file for trimesh.
         self.content: bytes = text
 

@@ -8,15 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base import checks
-from ..base.errors import ArgumentError
 from ..base.notices import warn_surface
 from ..meshes.convert import MeshLike, as_mesh
 from ..meshes.mesh import Mesh
 
 Sign = Literal["auto", "winding", "parity", "pseudonormal", "normal", "unsigned"]
-
-#: Largest distance of a point from the centre of the mesh, in mesh sizes. The core squares it in float64.
-MAX_POINT_REACH = 1e36
 
 
 def choices(sign: Sign, device: str) -> tuple[str, str]:
@@ -27,24 +23,7 @@ def choices(sign: Sign, device: str) -> tuple[str, str]:
 def checked_points(mesh: MeshLike, points: object) -> tuple[Mesh, NDArray[np.float64], tuple[int, ...]]:
     """Check the mesh and the points; return the points as (n, 3) float64, and their leading shape."""
     flat, shape = checks.points(points)
-    checked = as_mesh(mesh)
-    check_reach("points", checked, flat, MAX_POINT_REACH)
-    return checked, flat, shape
-
-
-def check_reach(name: str, mesh: Mesh, positions: NDArray[np.float64], limit: float) -> None:
-    """Raise ArgumentError for positions so far out that distances, in mesh sizes, would overflow."""
-    if positions.size == 0:
-        return
-    # Plain floats are faster here: a NumPy reduction of three numbers takes longer than a query of one point.
-    lower, upper = mesh.bounds.tolist()
-    center = mesh.center.tolist()
-    size = max(high - low for low, high in zip(lower, upper, strict=True))
-    reach = max(float(positions.max()) - min(center), max(center) - float(positions.min()))
-    if reach > limit * size:
-        raise ArgumentError(
-            f"{name}: {reach:.3g} away from a mesh of size {size:.3g} is too far; at most {limit:g} times its size"
-        )
+    return as_mesh(mesh), flat, shape
 
 
 def source_faces(mesh: MeshLike, checked: Mesh, faces: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -16,6 +16,7 @@ from ..base.notices import warn_surface
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report
 from ..meshes.convert import MeshLike
+from ..meshes.mesh import Mesh
 from ..points.interop import as_cloud
 from .clouds import WINDING_ERROR, is_signed, query_cloud, require_sides
 from .common import Sign, checked_points, choices, shaped, source_faces, warn_of_signs
@@ -219,7 +220,7 @@ def query(
     >>> found.report.inside_points
     1
     """
-    if isinstance(mesh, Queryable):
+    if not isinstance(mesh, Mesh) and isinstance(mesh, Queryable):
         return mesh._query(points, sign=sign, device=device, progress=progress)
     method, where = choices(sign, device)
     if (cloud := as_cloud(mesh)) is not None:
@@ -316,7 +317,7 @@ def signed_distance(
     >>> signed_distance(tetrahedron, [(0, 0, -2), (0.25, 0.25, 0.125)]).tolist()
     [2.0, -0.125]
     """
-    if isinstance(mesh, Queryable):
+    if not isinstance(mesh, Mesh) and isinstance(mesh, Queryable):
         return mesh._query(points, sign=sign, device=device, progress=progress).distances.astype(np.float32)
     method, where = choices(sign, device)
     is_double = checks.choice("dtype", dtype, get_args(DistanceType)) == "float64"

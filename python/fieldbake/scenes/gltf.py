@@ -97,13 +97,15 @@ def _document(file: Path) -> dict[str, Any]:
     suffix = file.suffix.lower()
     if suffix not in (".gltf", ".glb"):
         return {}
-    content = file.read_bytes()
-    if suffix == ".glb":
-        # A GLB file has a header of 12 bytes, then chunks of length, kind and content. The first chunk is the JSON.
-        if content[:4] != MAGIC or content[16:20] != JSON_CHUNK:
-            return {}
-        (length,) = struct.unpack("<I", content[12:16])
-        content = content[20 : 20 + length]
+    with file.open("rb") as stream:
+        if suffix == ".glb":
+            # A GLB file has a header of 12 bytes, then chunks of length, kind and content. The first one is the JSON.
+            header = stream.read(20)
+            if header[:4] != MAGIC or header[16:] != JSON_CHUNK:
+                return {}
+            content = stream.read(struct.unpack("<I", header[12:16])[0])
+        else:
+            content = stream.read()
     try:
         document = json.loads(content)
     except ValueError:
