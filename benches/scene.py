@@ -59,7 +59,7 @@ def forest(count: int, random: np.random.Generator) -> tuple[fb.Scene, fb.Camera
 
 def light_of(scene: fb.Scene, camera: fb.Camera, size: tuple[int, int], repeat: int, **options) -> tuple[float, float]:
     """Shortest time of the light pass, milliseconds, and its steps per pixel. Fields are baked before."""
-    plain = fb.render(scene, camera, size=size, **{**options, "shadows": "none", "method": "fieldbake"})
+    plain = fb.render(scene, camera, size=size, **{**options, "shadows": "none"})
     frames = [fb.render(scene, camera, size=size, **options) for _ in range(repeat)]
     time_ms = min(frame.report["milliseconds"]["light"] for frame in frames)
     return time_ms, float(frames[0].steps.mean() - plain.steps.mean())
