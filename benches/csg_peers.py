@@ -158,7 +158,7 @@ def fogleman(count: int):
 def compare_pictures(library: ctypes.CDLL, count: int, side: int) -> None:
     times = {name: Times() for name in ("ours first", "ours next", "fidget first", "fidget next")}
     shape = scattered(count)
-    for _ in range(3):
+    for _ in range(7):
         ours = fresh(shape)
         times["ours first"].run(lambda ours=ours: draw_ours(ours, side))
         times["fidget first"].run(lambda: (peer := Fidget(library, count), peer.draw(side))[0])

@@ -82,6 +82,8 @@ def main() -> None:
 
     files = (path for folder in meshes.FOLDERS for path in sorted(folder.rglob("*")))
     chosen = arguments.mesh or [path for path in files if path.suffix in {".obj", ".ply", ".stl", ".glb"}]
+    if not chosen:
+        parser.error("there are no meshes; name one by --mesh, or a folder by FIELDBAKE_MESHES")
     brute = brute_library()
     today = datetime.date.today().isoformat()
     text = f"# Exactness, {today}\n\n{machine()}. "

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 #: Folders with real models, in addition to the models of Python packages.
-FOLDERS = [Path(os.environ.get("FIELDBAKE_MESHES", "../shared/meshes"))]
+FOLDERS = [Path(os.environ.get("FIELDBAKE_MESHES", Path(__file__).resolve().parents[2] / "shared" / "meshes"))]
 NAMES = ["stanford-bunny", "armadillo", "spot/spot", "dragon"]
 
 

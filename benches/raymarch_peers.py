@@ -81,7 +81,9 @@ def main() -> None:
         try:
             # Older LLVM libraries end the process.
             probe = "import raymarch_peers as bench; bench.probe(" + repr(variant) + ")"
-            subprocess.run([sys.executable, "-c", probe], cwd=Path(__file__).parent, check=True, capture_output=True)
+            ended = subprocess.run([sys.executable, "-c", probe], cwd=Path(__file__).parent, capture_output=True)
+            if ended.returncode:
+                raise OSError(f"its library ends the process with status {ended.returncode}")
             draw = mitsuba_picture(variant, volume, camera, size)
             draw()
         except Exception as error:
