@@ -56,8 +56,8 @@ pub struct Mesh {
     tables: DerivedTables,
 }
 
-/// Number of faces from which a mesh is checked on the threads of the current rayon pool.
-pub const PARALLEL_FACES: usize = 1 << 15;
+/// Number of vertices or faces from which they are checked on the threads of the current rayon pool.
+pub const PARALLEL_ITEMS: usize = 1 << 15;
 /// Number of items of a part that one thread checks at a time.
 const PART: usize = 1 << 14;
 /// The child index of the tree has 31 bits, and faces times three must fit in u32.
@@ -355,7 +355,7 @@ fn bounds_of(vertices: &[[f64; 3]], faces: &[[u32; 3]]) -> [DVec3; 2] {
 /// The result of `work` for each part of the items, in order. `work` receives the index of the first item of the part.
 /// Short lists are one part, on this thread.
 fn in_parts<T: Sync, R: Send>(items: &[T], work: impl Fn(usize, &[T]) -> R + Sync) -> Vec<R> {
-    if items.len() < PARALLEL_FACES {
+    if items.len() < PARALLEL_ITEMS {
         return vec![work(0, items)];
     }
     items.par_chunks(PART).enumerate().map(|(part, items)| work(part * PART, items)).collect()

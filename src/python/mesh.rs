@@ -31,7 +31,7 @@ impl Mesh {
     #[new]
     fn new(py: Python<'_>, vertices: PyReadonlyArray2<'_, f64>, faces: PyReadonlyArray2<'_, i64>) -> PyResult<Self> {
         let (vertices, faces) = (rows(&vertices, "vertices")?, rows(&faces, "faces")?);
-        let mesh = if vertices.len().max(faces.len()) < mesh::PARALLEL_FACES {
+        let mesh = if vertices.len().max(faces.len()) < mesh::PARALLEL_ITEMS {
             py.detach(|| mesh::Mesh::new(vertices, faces)).map_err(Failure::from)?
         } else if faces.len() < LARGE {
             run(py, None, |_| Ok(mesh::Mesh::new(vertices, faces)?))?

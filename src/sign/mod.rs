@@ -260,12 +260,12 @@ impl SideWalk {
 
     /// The nearest integer of the fraction, which is kept for the next points.
     fn rounded(&mut self, openings: &Openings, p: DVec3) -> i32 {
-        let known = self.fraction.filter(|&(center, radius, _)| p.distance(center) < radius);
-        known.map(|(_, _, rounded)| rounded).unwrap_or_else(|| {
-            let (rounded, radius) = openings.rounded_ball(p);
-            self.fraction = Some((p, radius * (1.0 - 1e-9), rounded));
-            rounded
-        })
+        if let Some((_, _, rounded)) = self.fraction.filter(|&(center, radius, _)| p.distance(center) < radius) {
+            return rounded;
+        }
+        let (rounded, radius) = openings.rounded_ball(p);
+        self.fraction = Some((p, radius * (1.0 - 1e-9), rounded));
+        rounded
     }
 }
 

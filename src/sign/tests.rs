@@ -114,6 +114,31 @@ fn a_scanned_row_equals_single_rays() {
     }
 }
 
+/// One ray beside the openings gives the winding number, or None: through an opening, or through the diagonals of
+/// faces, which many of these rays meet.
+#[test]
+fn a_ray_beside_an_opening_gives_the_winding_number() {
+    let closed = boxes();
+    let vertices = closed.world_positions();
+    let (mut decided, mut points) = (0, 0);
+    for missing in 0..closed.faces().len() {
+        let mut faces: Vec<_> = closed.faces().iter().map(|face| face.map(i64::from)).collect();
+        faces.remove(missing);
+        let mesh = mesh(vertices, &faces);
+        let openings = Openings::of(&mesh);
+        for i in 0..15 * 15 * 15 {
+            let place = [i % 15, i / 15 % 15, i / 225].map(|i| 0.5 * f64::from(i) - 0.25);
+            let p = mesh.local_from_world(DVec3::from_array(place));
+            points += 1;
+            let Some(winding) = openings.winding_by_ray(&mesh, p) else { continue };
+            decided += 1;
+            let found = f64::from(winding) - openings.fraction(p);
+            assert!((found - brute_force(&mesh, p)).abs() <= 1e-9, "{place:?} without face {missing}: {found}");
+        }
+    }
+    assert!(2 * decided > points, "{decided} of {points}");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
 
@@ -134,7 +159,11 @@ proptest! {
         for (x, y, z) in points {
             let p = mesh.local_from_world(DVec3::new(x, y, z));
             let found = f64::from(surface.winding(p, Axes::X)) - openings.fraction(p);
-            prop_assert!((found - brute_force(&mesh, p)).abs() < 1e-9);
+            let expected = brute_force(&mesh, p);
+            prop_assert!((found - expected).abs() < 1e-9);
+            if let Some(winding) = openings.winding_by_ray(&mesh, p) {
+                prop_assert!((f64::from(winding) - openings.fraction(p) - expected).abs() < 1e-9);
+            }
         }
     }
 

@@ -132,8 +132,8 @@ class Report(Rows):
     @classmethod
     def from_dict(cls, facts: Mapping[str, Any]) -> Report:
         """Make a report from a mapping of attributes, as :meth:`to_dict` returns; unknown keys are ignored."""
-        known = cls.__dataclass_fields__
-        return cls(**{name: value for name, value in facts.items() if name in known})
+        attributes = cls.__dataclass_fields__
+        return cls(**{name: value for name, value in facts.items() if name in attributes})
 
     @classmethod
     def of_mesh(cls, mesh: Any, facts: Mapping[str, Any]) -> Report:
