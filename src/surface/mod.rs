@@ -23,7 +23,8 @@
 //!
 //! Faces of different quadrilaterals may still pass through each other, in thin walls and beside vertices outside
 //! their cells. [`untangle`] finds them by exact predicates, and [`division`] divides their quadrilaterals so that
-//! their faces stay in the cells. The mesh therefore never crosses itself.
+//! their faces stay in the cells. The mesh therefore never crosses itself. On a curved source, [`refine`] then divides
+//! faces that are far from it, as long as none crosses another one.
 //!
 //! # Practice
 //!
@@ -42,6 +43,7 @@ pub(crate) mod patches;
 pub(crate) mod probes;
 pub(crate) mod qef;
 mod quad;
+mod refine;
 mod separate;
 mod untangle;
 

@@ -13,7 +13,7 @@ impl LevelSurface {
         let division =
             self.untangle(&mut vertices.places, &mut quads, crossings, extra, options.sharp, &progress).unwrap();
         let is_open = if options.capped { Vec::new() } else { on_box(crossings) };
-        self.divided_mesh(vertices, &quads, crossings, &division, &is_open)
+        self.divided_mesh(vertices, &quads, crossings, &division, &is_open, &mut Vec::new())
     }
 }
 
@@ -351,5 +351,61 @@ fn faces_do_not_cross_in_thin_curved_walls() {
         assert_two_manifold(&mesh);
         assert!(mesh.faces.len() > 1000);
         assert_eq!(crossing_pairs(&mesh), 0, "{options:?}");
+    }
+}
+
+/// The mesh of spheres with exact planes. `centers` and `radius` are in voxels.
+fn mesh_of_spheres(centers: Vec<DVec3>, radius: f64) -> SurfaceMesh {
+    let sphere = move |p: DVec3| {
+        let nearest = centers.iter().copied().min_by(|a, b| p.distance(*a).total_cmp(&p.distance(*b))).unwrap();
+        (p.distance(nearest) - radius, (p - nearest).normalize_or_zero())
+    };
+    let grid = Grid::new(DVec3::ZERO, DVec3::splat(8.0), [8; 3]).unwrap();
+    let distances = fill(&grid, |p| sphere(p).0);
+    let surface = LevelSurface::of_field(&FieldView::new(grid, &distances).unwrap(), 0.0, &Progress::new()).unwrap();
+    let mut crossings = surface.crossings();
+    for (edge, crossing) in (0..).zip(&mut crossings) {
+        let on_edge = surface.edge(edge).at(crossing.share);
+        let (distance, normal) = sphere(on_edge);
+        crossing.set_plane(on_edge, on_edge - normal * distance, normal);
+    }
+    let nearby = move |places: &[probes::Place], found: &mut dyn FnMut(usize, DVec3, DVec3)| {
+        for (i, place) in places.iter().enumerate() {
+            let (distance, normal) = sphere(place.point);
+            found(i, place.point - normal * distance, normal);
+        }
+    };
+    let extra = ExtraPlanes::default().with_nearby(Box::new(nearby), false);
+    surface.into_mesh(crossings, extra, SHARP, &Progress::new()).unwrap()
+}
+
+#[test]
+fn spheres_of_one_voxel_are_round() {
+    let mut random = crate::mesh::random::uniform(5);
+    for case in 0..50 {
+        let center = DVec3::splat(3.5) + DVec3::from_array([0; 3].map(|_| random()));
+        let radius = 1.0 + random();
+        let mesh = mesh_of_spheres(vec![center], radius);
+        assert_two_manifold(&mesh);
+        for [a, b, c] in mesh.faces.iter().map(|face| face.map(|i| mesh.vertices[i as usize])) {
+            for place in [a, 0.5 * (a + b), (a + b + c) / 3.0] {
+                let error = (place.distance(center) - radius).abs();
+                assert!(error <= 0.1, "case {case}, radius {radius}: {error}");
+            }
+        }
+    }
+}
+
+#[test]
+fn changes_do_not_let_close_spheres_cross() {
+    let mut random = crate::mesh::random::uniform(6);
+    for case in 0..50 {
+        let [middle, away] = [0; 2].map(|_| DVec3::from_array([0; 3].map(|_| random() - 0.5)));
+        let radius = 1.0 + random();
+        // The gap is a third of a voxel or less.
+        let away = away.normalize() * (radius + random() / 6.0);
+        let mesh = mesh_of_spheres([away, -away].map(|away| 4.0 + middle + away).to_vec(), radius);
+        assert_two_manifold(&mesh);
+        assert_eq!(crossing_pairs(&mesh), 0, "case {case}");
     }
 }

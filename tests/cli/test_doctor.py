@@ -124,6 +124,15 @@ def test_packages_that_are_missing_or_too_old_are_problems_but_optional_ones_are
 
 
 @pytest.mark.usefixtures("no_devices")
+@pytest.mark.parametrize(("other", "problems"), [("pillow>=1.1", 1), ("no-such-package>=1.2", 0)])
+def test_a_package_is_too_old_for_an_extra_only_if_the_extra_is_installed(monkeypatch, other, problems):
+    requirements = ['numpy>=99.0; extra == "zarr"', f'{other}; extra == "zarr"']
+    monkeypatch.setattr(importlib.metadata, "requires", lambda _: requirements)
+
+    assert len(diagnosis.diagnose(self_tests=False)["problems"]) == problems
+
+
+@pytest.mark.usefixtures("no_devices")
 def test_without_metadata_the_diagnosis_has_no_packages(monkeypatch):
     def missing(name):
         raise importlib.metadata.PackageNotFoundError(name)

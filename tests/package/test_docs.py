@@ -29,10 +29,13 @@ def public_names() -> set[str]:
 
 
 def test_the_reference_has_every_public_name_once():
-    listed = []
+    listed, modules = [], []
     for page in sorted((DOCS / "reference").glob("*.md")):
-        listed += re.findall(r"^\.\. auto(?:class|function|exception):: (\S+)", page.read_text(encoding="utf-8"), re.M)
+        text = page.read_text(encoding="utf-8")
+        listed += re.findall(r"^\.\. auto(?:class|function|exception):: (\S+)", text, re.M)
+        modules += re.findall(r"^\.\. py:module:: fieldbake\.(\S+)", text, re.M)
 
+    assert sorted(modules) == sorted(MODULES), "each module has one entry in the index of the site"
     assert len(listed) == len(set(listed))
     assert public_names() - set(listed) == set(), "add these names to a page of docs/reference/"
     assert set(listed) - public_names() == set(), "these names are no longer public"

@@ -111,6 +111,11 @@ def _packages() -> list[dict[str, Any]]:
         elif extra is None:
             _, row["error"] = attempt(importlib.import_module, MODULES.get(name, name.replace("-", "_")))
         rows.append(row)
+    # A package may be too old for an extra that is not installed.
+    incomplete = {row["extra"] for row in rows if row["version"] is None}
+    for row in rows:
+        if row["extra"] is not None and row["extra"] in incomplete:
+            row["error"] = None
     return rows
 
 

@@ -24,6 +24,11 @@ NEWTON_STEPS = 2
 #: Probes whose tangent planes are evaluated at once: 100 MB of results of a query.
 BATCH = 1 << 20
 
+#: Faces at which the thickness of walls is examined, and the fraction of the surface that may bound walls thinner than
+#: half a voxel, as at the tips and edges of an ordinary solid.
+WALL_FACES = 2048
+THIN_SHARE = 0.05
+
 #: A gradient shorter than this fraction of a nearby one is the mean of both sides of a crease, of 23 degrees or more.
 CREASE_SLOPE = 0.98
 
@@ -200,3 +205,23 @@ def extract(
     with part(0.6, 1.0):
         vertices, faces, clamped = surface.mesh(sharp=sharp, capped=capped)
     return Mesh._extracted(vertices, faces, SurfaceReport(clamped_vertices=clamped, warnings=warnings))
+
+
+def with_thin_walls(mesh: Mesh, shape: _core.Shape, voxel: float) -> Mesh:
+    """Warn if many walls of the mesh of a shape are thinner than half a voxel, and add the warning to its report."""
+    count = len(mesh.faces)
+    if count == 0:
+        return mesh
+    corners = mesh.vertices[mesh.faces[:: -(-count // WALL_FACES)]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(normals, axis=1)
+    within = corners.mean(axis=1) - 0.5 * voxel * normals / areas[:, None]
+    thin = float(areas[shape.distance(within, "cpu") > 0].sum() / areas.sum())
+    if thin > THIN_SHARE:
+        warnings = (
+            f"resolution: about {100 * thin:.0f} % of the surface bounds walls thinner than half a voxel "
+            f"({0.5 * voxel:.3g}), which the mesh may lose; choose more voxels",
+        )
+        warn_surface(warnings)
+        mesh._report = SurfaceReport(clamped_vertices=mesh._report.clamped_vertices, warnings=warnings)
+    return mesh

@@ -23,7 +23,7 @@ from ..base.viewable import Viewable
 from ..files.container import check_target
 from ..meshes.convert import MeshLike
 from ..meshes.export import mesh_kind
-from ..meshes.isosurface import ShapeSource, extract
+from ..meshes.isosurface import ShapeSource, extract, with_thin_walls
 from ..meshes.mesh import Mesh
 from ..meshes.section import Section, Sectioned, field_sections, frames
 from ..volumes.volume import Volume, plain_field
@@ -522,6 +522,11 @@ class Shape(Viewable, Sectioned):
         ArgumentError
             If an option is out of range.
 
+        Warns
+        -----
+        SurfaceWarning
+            If more than 5 % of the surface bounds walls thinner than half a voxel.
+
         Notes
         -----
         The bound :attr:`lipschitz` excludes blocks that cannot contain a part of the surface. The field is evaluated in
@@ -542,7 +547,8 @@ class Shape(Viewable, Sectioned):
             with part(0.0, 0.4):
                 surface = _core.Surface.of_shape(self._core, grid.lower, grid.upper, grid.shape, 0.0)
             with part(0.4, 1.0):
-                return extract(surface, 0.0, ShapeSource(self._core), sharp=sharp, capped=capped)
+                mesh = extract(surface, 0.0, ShapeSource(self._core), sharp=sharp, capped=capped)
+        return with_thin_walls(mesh, self._core, max(grid.spacing))
 
     def section(
         self,

@@ -129,8 +129,8 @@ class GridField(Viewable, Sectioned, Interop):
         Mesh
             Triangles counter-clockwise as seen from the larger values. Every edge belongs to two faces that use it in
             opposite directions. Every vertex has one fan of faces, every face has an area, and no vertex lies outside
-            `bounds`. The mesh has no faces if there is no surface. `report` counts the clamped vertices. Faces may pass
-            through each other where parts are thinner than a voxel; ``fieldbake check`` counts these pairs.
+            `bounds`. No two faces cross. The mesh has no faces if there is no surface. `report` counts the clamped
+            vertices.
 
         Raises
         ------
