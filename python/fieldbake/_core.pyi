@@ -92,7 +92,7 @@ __version__: str
 class Mesh:
     """Checked triangles; the search tree is built at the first query and kept."""
 
-    def __new__(cls, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Mesh:
+    def __new__(cls, vertices: NDArray[np.float64], faces: NDArray[np.uint32 | np.int64]) -> Mesh:
         """``vertices`` (n, 3), ``faces`` (m, 3). Raises MeshError naming the array, index and value."""
     @property
     def vertices(self) -> NDArray[np.float64]:
@@ -101,11 +101,11 @@ class Mesh:
     def faces(self) -> NDArray[np.uint32]:
         """Kept triangles, (m, 3), indices into ``vertices``."""
     @property
-    def source_vertices(self) -> NDArray[np.int64]:
-        """Input row of each kept vertex, (n,)."""
+    def source_vertices(self) -> NDArray[np.int64] | None:
+        """Input row of each kept vertex, (n,); None if all were kept."""
     @property
-    def source_faces(self) -> NDArray[np.int64]:
-        """Input row of each kept face, (m,)."""
+    def source_faces(self) -> NDArray[np.int64] | None:
+        """Input row of each kept face, (m,); None if all were kept."""
     @property
     def center(self) -> NDArray[np.float64]:
         """Origin of local coordinates, near the centre of the box; the core stores float32 offsets from it, (3,)."""
@@ -705,7 +705,7 @@ class Surface:
         """
     def join_planes(self, points: NDArray[np.float64], normals: NDArray[np.float64]) -> None:
         """Add the tangent planes through `points` with `normals`, (k, 3) each, one row for each of the last probes."""
-    def mesh(self, *, sharp: bool = True, capped: bool = True) -> tuple[NDArray[np.float64], NDArray[np.int64], int]:
+    def mesh(self, *, sharp: bool = True, capped: bool = True) -> tuple[NDArray[np.float64], NDArray[np.uint32], int]:
         """Vertices (n, 3), faces (m, 3) and the number of vertices that were clamped to their cell. It is the last
         call, since it frees the surface.
         """

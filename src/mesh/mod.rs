@@ -48,8 +48,9 @@ pub struct Mesh {
     flat_faces: Vec<u32>,
     /// Faces with a repeated position.
     repeated: Vec<[u32; 3]>,
-    source_vertices: Vec<u32>,
-    source_faces: Vec<u32>,
+    /// Input rows of the kept vertices and faces, if some were dropped.
+    source_vertices: Option<Vec<u32>>,
+    source_faces: Option<Vec<u32>>,
     dropped_vertices: usize,
     topology: OnceLock<Topology>,
     has_needles: OnceLock<bool>,
@@ -74,6 +75,11 @@ const CENTER_STEP: f64 = 0.25;
 impl Mesh {
     /// Checks and recentres a mesh. Indices are signed, so that a negative one can be reported.
     pub fn new(vertices: &[[f64; 3]], faces: &[[i64; 3]]) -> Result<Self, MeshError> {
+        Self::of(vertices, faces)
+    }
+
+    /// As [`Self::new`], with indices of any type.
+    pub fn of<I: Copy + Sync + Into<i64>>(vertices: &[[f64; 3]], faces: &[[I; 3]]) -> Result<Self, MeshError> {
         for (what, count, limit) in [("vertices", vertices.len(), u32::MAX as usize), ("faces", faces.len(), MAX_FACES)]
         {
             if count > limit {
@@ -83,15 +89,11 @@ impl Mesh {
         if vertices.is_empty() || faces.is_empty() {
             return Err(MeshError::Empty { vertices: vertices.len(), faces: faces.len() });
         }
-        in_parts(faces, |first, part| check_faces(vertices, first, part)).into_iter().collect::<Result<(), _>>()?;
-
+        let mut corners = vec![[0; 3]; faces.len()];
+        let checked = checked_faces(vertices, faces, &mut corners)?;
         let is_finite = |vertex: &[f64; 3]| vertex.iter().all(|x| x.is_finite());
-        let corners = |row_of: &(dyn Fn(i64) -> u32 + Sync)| {
-            in_parts(faces, |_, part| part.iter().map(|face| face.map(row_of)).collect::<Vec<_>>()).concat()
-        };
         if in_parts(vertices, |_, part| part.iter().all(is_finite)).into_iter().all(|all| all) {
-            let rows = (0..vertices.len() as u32).collect();
-            return Self::assemble(vertices.to_vec(), rows, 0, corners(&|index| index as u32));
+            return Self::assemble(vertices.to_vec(), None, corners, checked);
         }
         // Keeps every finite vertex, in order.
         let mut kept_row = vec![u32::MAX; vertices.len()];
@@ -100,20 +102,22 @@ impl Mesh {
             kept_row[row] = source_vertices.len() as u32;
             source_vertices.push(row as u32);
         }
+        corners.as_flattened_mut().par_iter_mut().for_each(|corner| *corner = kept_row[*corner as usize]);
         let world = source_vertices.iter().map(|&row| vertices[row as usize]).collect();
         let dropped = vertices.len() - source_vertices.len();
-        Self::assemble(world, source_vertices, dropped, corners(&|index| kept_row[index as usize]))
+        Self::assemble(world, Some((source_vertices, dropped)), corners, checked)
     }
 
-    /// A mesh of finite vertices and valid faces.
+    /// A mesh of finite vertices and checked faces. `sources` has the input rows of the vertices and the number of
+    /// dropped ones, if some were dropped.
     fn assemble(
         world: Vec<[f64; 3]>,
-        source_vertices: Vec<u32>,
-        dropped_vertices: usize,
+        sources: Option<(Vec<u32>, usize)>,
         mut faces: Vec<[u32; 3]>,
+        CheckedFaces { mut bounds, unusual }: CheckedFaces,
     ) -> Result<Self, MeshError> {
         // The box of the vertices that faces use. Stray vertices must not reduce precision.
-        let [lower, upper] = bounds_of(&world, &faces);
+        let [lower, upper] = bounds;
         let extent = (upper - lower).max_element();
         if extent > EXTENT_RANGE.1 || (extent > 0.0 && extent < EXTENT_RANGE.0) {
             return Err(MeshError::Extent { extent, min: EXTENT_RANGE.0, max: EXTENT_RANGE.1 });
@@ -122,25 +126,27 @@ impl Mesh {
         let center = rounded_center(lower, upper, scale);
         let inverse_scale = scale.recip();
         let local = |&p: &[f64; 3]| ((DVec3::from_array(p) - center) * inverse_scale).as_vec3();
-        let positions = in_parts(&world, |_, part| part.iter().map(local).collect::<Vec<Vec3>>()).concat();
+        let mut positions = vec![Vec3::ZERO; world.len()];
+        in_parts_of(&world, &mut positions, |_, world, positions| {
+            positions.iter_mut().zip(world).for_each(|(position, world)| *position = local(world));
+        });
 
-        let unusual = in_parts(&faces, |first, part| unusual_faces(&world, first, part)).concat();
         let count = faces.len();
-        let mut source_faces: Vec<u32> = (0..count as u32).collect();
+        let mut source_faces = None;
         let mut repeated = Vec::new();
         let mut flat_faces = Vec::new();
         for (row, is_repeated) in unusual {
             if is_repeated {
                 repeated.push(faces[row as usize]);
-                source_faces[row as usize] = u32::MAX;
+                let rows = source_faces.get_or_insert_with(|| (0..count as u32).collect::<Vec<u32>>());
+                rows[row as usize] = u32::MAX;
             } else {
                 flat_faces.push(row - repeated.len() as u32);
             }
         }
-        let mut bounds = [lower, upper];
-        if !repeated.is_empty() {
-            source_faces.retain(|&row| row != u32::MAX);
-            faces = source_faces.iter().map(|&row| faces[row as usize]).collect();
+        if let Some(rows) = &mut source_faces {
+            rows.retain(|&row| row != u32::MAX);
+            faces = rows.iter().map(|&row| faces[row as usize]).collect();
             bounds = bounds_of(&world, &faces);
         }
         if faces.len() == flat_faces.len() {
@@ -157,8 +163,8 @@ impl Mesh {
             faces,
             flat_faces,
             repeated,
-            dropped_vertices,
-            source_vertices,
+            dropped_vertices: sources.as_ref().map_or(0, |sources| sources.1),
+            source_vertices: sources.map(|sources| sources.0),
             source_faces,
             topology: OnceLock::new(),
             has_needles: OnceLock::new(),
@@ -229,21 +235,22 @@ impl Mesh {
         self.flat_faces.len() + self.repeated.len()
     }
 
-    /// Input row of each kept vertex.
-    pub fn source_vertices(&self) -> &[u32] {
-        &self.source_vertices
+    /// Input row of each kept vertex; None if all were kept.
+    pub fn source_vertices(&self) -> Option<&[u32]> {
+        self.source_vertices.as_deref()
     }
 
-    /// Input row of each kept face.
-    pub fn source_faces(&self) -> &[u32] {
-        &self.source_faces
+    /// Input row of each kept face; None if all were kept.
+    pub fn source_faces(&self) -> Option<&[u32]> {
+        self.source_faces.as_deref()
     }
 
     /// Faces of the input in their order, dropped ones included, as indices of the kept vertices.
     pub fn input_faces(&self) -> Vec<[u32; 3]> {
+        let Some(rows) = &self.source_faces else { return self.faces.clone() };
         let mut repeated = self.repeated.iter();
         let mut faces = Vec::with_capacity(self.faces.len() + self.repeated.len());
-        for (face, &row) in self.faces.iter().zip(&self.source_faces) {
+        for (face, &row) in self.faces.iter().zip(rows) {
             // The dropped faces fill the rows between the kept ones.
             faces.extend(repeated.by_ref().take(row as usize - faces.len()));
             faces.push(*face);
@@ -262,12 +269,11 @@ impl Mesh {
             let [x, y, z] = vertices[vertex];
             return Err(MeshError::MovedNotFinite { vertex, x, y, z });
         }
-        let (source, dropped) = (self.source_vertices.clone(), self.dropped_vertices);
-        let mut mesh = if self.repeated.is_empty() {
-            Self::assemble(vertices.to_vec(), source, dropped, self.faces.clone())?
-        } else {
-            Self::assemble(vertices.to_vec(), source, dropped, self.input_faces())?
-        };
+        let faces = self.input_faces();
+        let mut corners = vec![[0; 3]; faces.len()];
+        let checked = checked_faces(vertices, &faces, &mut corners)?;
+        let sources = self.source_vertices.clone().map(|rows| (rows, self.dropped_vertices));
+        let mut mesh = Self::assemble(vertices.to_vec(), sources, corners, checked)?;
         if mesh.has_faces_of(self) {
             let (topology, ()) = rayon::join(
                 || self.topology.get().and_then(|topology| topology.follow(&mesh)),
@@ -332,8 +338,11 @@ impl Mesh {
             + size_of_val(&self.faces[..])
             + size_of_val(&self.repeated[..])
             + size_of_val(&self.flat_faces[..])
-            + size_of_val(&self.source_vertices[..])
-            + size_of_val(&self.source_faces[..])
+            + [&self.source_vertices, &self.source_faces]
+                .into_iter()
+                .flatten()
+                .map(|rows| size_of_val(&rows[..]))
+                .sum::<usize>()
             + self.topology.get().map_or(0, Topology::bytes)
             + self.tables.bytes()
     }
@@ -361,14 +370,66 @@ fn in_parts<T: Sync, R: Send>(items: &[T], work: impl Fn(usize, &[T]) -> R + Syn
     items.par_chunks(PART).enumerate().map(|(part, items)| work(part * PART, items)).collect()
 }
 
-/// The rows of the faces that have a repeated position (true), or whose corners lie on a line (false).
-fn unusual_faces(vertices: &[[f64; 3]], first: usize, faces: &[[u32; 3]]) -> Vec<(u32, bool)> {
-    let unusual = |(row, face): (usize, &[u32; 3])| {
-        let corners @ [a, b, c] = face.map(|v| vertices[v as usize]);
-        let is_repeated = a == b || b == c || c == a;
-        (is_repeated || is_on_a_line(corners.map(DVec3::from_array))).then_some(((first + row) as u32, is_repeated))
-    };
-    faces.iter().enumerate().filter_map(unusual).collect()
+/// As [`in_parts`], with the items of a list of the same length beside them.
+fn in_parts_of<T: Sync, U: Send, R: Send>(
+    items: &[T],
+    others: &mut [U],
+    work: impl Fn(usize, &[T], &mut [U]) -> R + Sync,
+) -> Vec<R> {
+    if items.len() < PARALLEL_ITEMS {
+        return vec![work(0, items, others)];
+    }
+    let parts = items.par_chunks(PART).zip(others.par_chunks_mut(PART)).enumerate();
+    parts.map(|(part, (items, others))| work(part * PART, items, others)).collect()
+}
+
+/// Results of one pass over the faces.
+struct CheckedFaces {
+    /// Lower and upper corner of the vertices that faces use, world units.
+    bounds: [DVec3; 2],
+    /// The rows of the faces that have a repeated position (true), or whose corners lie on a line (false).
+    unusual: Vec<(u32, bool)>,
+}
+
+/// Copies the faces to `corners`. Every index must refer to a vertex, and that vertex must be finite.
+fn checked_faces<I: Copy + Sync + Into<i64>>(
+    vertices: &[[f64; 3]],
+    faces: &[[I; 3]],
+    corners: &mut [[u32; 3]],
+) -> Result<CheckedFaces, MeshError> {
+    let parts = in_parts_of(faces, corners, |first, faces, corners| {
+        let (mut lower, mut upper) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        let mut unusual = Vec::new();
+        for ((face, indices), corners) in (first..).zip(faces).zip(corners) {
+            let mut places = [DVec3::ZERO; 3];
+            for ((&index, corner), place) in indices.iter().zip(corners).zip(&mut places) {
+                let index = index.into();
+                let Some(&vertex) = usize::try_from(index).ok().and_then(|i| vertices.get(i)) else {
+                    return Err(MeshError::IndexOutOfRange { face, index, vertices: vertices.len() });
+                };
+                *place = DVec3::from_array(vertex);
+                if !place.is_finite() {
+                    let [x, y, z] = vertex;
+                    return Err(MeshError::NotFinite { vertex: index as usize, face, x, y, z });
+                }
+                *corner = index as u32;
+                (lower, upper) = (lower.min(*place), upper.max(*place));
+            }
+            let [a, b, c] = places;
+            let is_repeated = a == b || b == c || c == a;
+            if is_repeated || is_on_a_line(places) {
+                unusual.push((face as u32, is_repeated));
+            }
+        }
+        Ok(CheckedFaces { bounds: [lower, upper], unusual })
+    });
+    let nothing = CheckedFaces { bounds: [DVec3::INFINITY, DVec3::NEG_INFINITY], unusual: Vec::new() };
+    parts.into_iter().try_fold(nothing, |mut all, part| {
+        let CheckedFaces { bounds: [lower, upper], unusual } = part?;
+        all.bounds = [all.bounds[0].min(lower), all.bounds[1].max(upper)];
+        all.unusual.extend(unusual);
+        Ok(all)
+    })
 }
 
 /// The centre of a box, rounded to multiples of [`CENTER_STEP`] times `scale`.
@@ -384,21 +445,6 @@ fn rounded_center(lower: DVec3, upper: DVec3, scale: f64) -> DVec3 {
 /// The power of two that brings `extent` to the interval (1/2, 1]; 1 for a single point.
 fn power_of_two_above(extent: f64) -> f64 {
     if extent > 0.0 { extent.log2().ceil().exp2() } else { 1.0 }
-}
-
-/// Every index must refer to a vertex, and that vertex must be finite.
-fn check_faces(vertices: &[[f64; 3]], first: usize, faces: &[[i64; 3]]) -> Result<(), MeshError> {
-    for (face, corners) in (first..).zip(faces) {
-        for &index in corners {
-            let Some(&[x, y, z]) = usize::try_from(index).ok().and_then(|i| vertices.get(i)) else {
-                return Err(MeshError::IndexOutOfRange { face, index, vertices: vertices.len() });
-            };
-            if !(x.is_finite() && y.is_finite() && z.is_finite()) {
-                return Err(MeshError::NotFinite { vertex: index as usize, face, x, y, z });
-            }
-        }
-    }
-    Ok(())
 }
 
 #[cfg(test)]
@@ -428,12 +474,12 @@ mod tests {
     #[test]
     fn faces_with_a_repeated_position_are_dropped_and_faces_on_a_line_are_kept() {
         let mesh = Mesh::new(&SQUARE, &[[0, 1, 1], [0, 1, 2]]).unwrap();
-        assert_eq!((mesh.faces().len(), mesh.degenerate_faces(), mesh.source_faces()), (1, 1, &[1][..]));
+        assert_eq!((mesh.faces().len(), mesh.degenerate_faces(), mesh.source_faces()), (1, 1, Some(&[1][..])));
         let mut split = SQUARE.to_vec();
         // The last vertex has the position of vertex 0, with the other zero.
         split.extend([[0.5, 0.0, 0.0], [0.5, 1e-15, 0.0], [-0.0, 0.0, 0.0]]);
         let mesh = Mesh::new(&split, &[[0, 4, 1], [0, 5, 1], [0, 6, 1], [0, 1, 2]]).unwrap();
-        assert_eq!((mesh.degenerate_faces(), mesh.source_faces()), (2, &[0, 1, 3][..]));
+        assert_eq!((mesh.degenerate_faces(), mesh.source_faces()), (2, Some(&[0, 1, 3][..])));
         for face in [[0, 1, 1], [0, 4, 1], [0, 6, 1]] {
             assert_eq!(Mesh::new(&split, &[face]).unwrap_err(), MeshError::AllDegenerate { faces: 1 });
         }

@@ -26,22 +26,42 @@ const BYTES_PER_INPUT_FACE: usize = 64;
 #[pyclass(frozen, module = "fieldbake._core")]
 pub struct Mesh(pub Arc<mesh::Mesh>);
 
-#[pymethods]
+/// Indices of the corners of faces, (m, 3).
+#[derive(FromPyObject)]
+enum Indices<'py> {
+    Short(PyReadonlyArray2<'py, u32>),
+    Long(PyReadonlyArray2<'py, i64>),
+}
+
 impl Mesh {
-    #[new]
-    fn new(py: Python<'_>, vertices: PyReadonlyArray2<'_, f64>, faces: PyReadonlyArray2<'_, i64>) -> PyResult<Self> {
-        let (vertices, faces) = (rows(&vertices, "vertices")?, rows(&faces, "faces")?);
+    fn checked<I: Copy + Send + Sync + Into<i64> + 'static>(
+        py: Python<'_>,
+        vertices: &[[f64; 3]],
+        faces: &[[I; 3]],
+    ) -> PyResult<Self> {
         let mesh = if vertices.len().max(faces.len()) < mesh::PARALLEL_ITEMS {
-            py.detach(|| mesh::Mesh::new(vertices, faces)).map_err(Failure::from)?
+            py.detach(|| mesh::Mesh::of(vertices, faces)).map_err(Failure::from)?
         } else if faces.len() < LARGE {
-            run(py, None, |_| Ok(mesh::Mesh::new(vertices, faces)?))?
+            run(py, None, |_| Ok(mesh::Mesh::of(vertices, faces)?))?
         } else {
             // A job that may be left in the background owns its arrays.
             require_rows::<[u8; 2 * BYTES_PER_INPUT_FACE]>("faces", faces.len()).map_err(Failure::from)?;
             let (vertices, faces) = (vertices.to_vec(), faces.to_vec());
-            run_owned(py, move |_| Ok(mesh::Mesh::new(&vertices, &faces)?))?
+            run_owned(py, move |_| Ok(mesh::Mesh::of(&vertices, &faces)?))?
         };
         Ok(Self(Arc::new(mesh)))
+    }
+}
+
+#[pymethods]
+impl Mesh {
+    #[new]
+    fn new(py: Python<'_>, vertices: PyReadonlyArray2<'_, f64>, faces: Indices<'_>) -> PyResult<Self> {
+        let vertices = rows(&vertices, "vertices")?;
+        match faces {
+            Indices::Short(faces) => Self::checked(py, vertices, rows(&faces, "faces")?),
+            Indices::Long(faces) => Self::checked(py, vertices, rows(&faces, "faces")?),
+        }
     }
 
     /// A read-only view of the core's own array. The view keeps the mesh alive.
@@ -63,13 +83,13 @@ impl Mesh {
     }
 
     #[getter]
-    fn source_vertices<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
-        PyArray1::from_iter(py, self.0.source_vertices().iter().map(|&row| i64::from(row)))
+    fn source_vertices<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<i64>>> {
+        self.0.source_vertices().map(|rows| PyArray1::from_iter(py, rows.iter().map(|&row| i64::from(row))))
     }
 
     #[getter]
-    fn source_faces<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
-        PyArray1::from_iter(py, self.0.source_faces().iter().map(|&row| i64::from(row)))
+    fn source_faces<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<i64>>> {
+        self.0.source_faces().map(|rows| PyArray1::from_iter(py, rows.iter().map(|&row| i64::from(row))))
     }
 
     #[getter]
@@ -95,9 +115,9 @@ impl Mesh {
         py: Python<'py>,
     ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<u32>>, Option<Bound<'py, PyArray1<u32>>>)> {
         let core = &mesh.get().0;
-        let rows = (core.dropped_vertices() > 0).then(|| {
-            let count = core.source_vertices().len() + core.dropped_vertices();
-            PyArray1::from_iter(py, core.source_vertices().iter().copied().chain([count as u32]))
+        let rows = core.source_vertices().map(|rows| {
+            let count = rows.len() + core.dropped_vertices();
+            PyArray1::from_iter(py, rows.iter().copied().chain([count as u32]))
         });
         let vertices = row_array(py, core.world_positions().iter().copied())?;
         Ok((vertices, row_array(py, core.input_faces().into_iter())?, rows))

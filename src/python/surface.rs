@@ -221,15 +221,13 @@ impl Surface {
         py: Python<'py>,
         sharp: bool,
         capped: bool,
-    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<i64>>, usize)> {
+    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<u32>>, usize)> {
         let state = self.0.lock().unwrap_or_else(PoisonError::into_inner).take().ok_or_else(mesh_was_made);
         let state = state.map_err(Failure::from)?;
         let (vertices, faces, clamped) = run_owned(py, move |progress| {
             let State { surface, crossings, extra, .. } = state;
             let mesh = surface.into_mesh(crossings, extra, MeshOptions { sharp, capped }, progress)?;
-            // The constructor of meshes takes int64.
-            let faces: Vec<[i64; 3]> = mesh.faces.into_par_iter().map(|face| face.map(i64::from)).collect();
-            Ok((mesh.vertices, faces, mesh.clamped))
+            Ok((mesh.vertices, mesh.faces, mesh.clamped))
         })?;
         Ok((owned_rows(py, bytemuck::cast_vec(vertices))?, owned_rows(py, faces)?, clamped))
     }

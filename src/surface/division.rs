@@ -133,7 +133,8 @@ impl LevelSurface {
                 let [lower, upper] = self.region(cell, 0);
                 if !is_within(vertices[id as usize] - corner, [lower, upper]) {
                     let planes = self.planes(cell, id, crossings, extra.of(id));
-                    vertices[id as usize] = self.in_box(corner + planes.minimum(lower, upper).point);
+                    let place = self.in_box(corner + planes.minimum(lower, upper).point);
+                    vertices[id as usize] = self.apart_from_first(cell, id, place);
                 }
             }
             if patches_of(cell).len() > 1 {

@@ -31,6 +31,9 @@ const FREE_PASSES: usize = 4;
 /// of vertices in different cells.
 const APART: f64 = 2.0 * MARGIN;
 
+/// Distance between the boundaries of the regions of the patches of one cell, voxels. A cell has four patches at most.
+const INSET: f64 = MARGIN / 4.0;
+
 /// A vertex on flat faces is corrected if the root of the sum of its squared distances to the planes of its patch is
 /// larger, voxels.
 const LEAST_ERROR: f64 = 0.005;
@@ -177,6 +180,7 @@ impl LevelSurface {
             for ((cell, id), to) in patches_of(cells).zip(&mut *places) {
                 let planes = self.planes(cell, id, crossings, extra.of(id));
                 let (place, clamped) = self.vertex(cell, &planes, options, free);
+                let place = self.apart_from_first(cell, id, place);
                 *to = place;
                 is_clamped[id as usize].store(clamped, Ordering::Relaxed);
                 let Some((_, is_flat)) = nearby.filter(|_| !clamped) else { continue };
@@ -373,7 +377,7 @@ impl LevelSurface {
                 }
                 let [lower, upper] = self.region(cell, 0);
                 let place = self.planes(cell, id, crossings, extra.of(id)).minimum(lower, upper).point;
-                vertices[id as usize] = self.in_box(corner + place);
+                vertices[id as usize] = self.apart_from_first(cell, id, self.in_box(corner + place));
                 is_clamped[id as usize] = true;
                 moved.push(id);
             }
@@ -462,6 +466,17 @@ impl LevelSurface {
         };
         // The sum rounds; no vertex lies outside the box.
         (self.in_box(corner + vertex), clamped)
+    }
+
+    /// A place moved away from the margin of its cell if the patch is not the first one of the cell. Otherwise vertices
+    /// of several patches at the margin may lie on one line, and a vertex on a face of another sheet. Faces of the box
+    /// are no margin.
+    pub(super) fn apart_from_first(&self, cell: &SurfaceCell, id: u32, place: DVec3) -> DVec3 {
+        let step = f64::from(id - cell.first_patch) * INSET * self.spacing;
+        let [lower, upper] = [MARGIN, 1.0 - MARGIN].map(|share| self.world(cell.index, DVec3::splat(share)));
+        let near = 0.5 * INSET * self.spacing;
+        let inner = DVec3::select((place - lower).abs().cmple(near), lower + step, place);
+        DVec3::select((place - upper).abs().cmple(near), upper - step, inner)
     }
 
     /// The tangent planes of a patch and `extra` ones, relative to the lower corner of its cell.

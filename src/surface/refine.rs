@@ -117,6 +117,9 @@ pub(super) fn refine(
 ) -> Result<(), Error> {
     for kind in PASSES {
         let mut refinement = Refinement::new((&mut *mesh.0, &mut *mesh.1), &normals, kind, nearby, spacing, within);
+        if refinement.is_flat {
+            return Ok(());
+        }
         if !refinement.changes.is_empty() {
             refinement.take_back(progress)?;
             let added = refinement.finish();
@@ -135,6 +138,8 @@ struct Refinement<'a> {
     /// Normals of the vertices.
     normals: &'a [DVec3],
     kind: Kind,
+    /// Whether the surface is curved nowhere.
+    is_flat: bool,
     spacing: DVec3,
     changes: Vec<Change>,
     /// Sorted by face.
@@ -174,7 +179,7 @@ impl<'a> Refinement<'a> {
             ChangedFace { face: sides[0].0 / 3, changes, is_new: true }
         });
         let faces = faces.collect();
-        Self { vertices, corners, normals, kind, spacing, changes, faces }
+        Self { vertices, corners, normals, kind, is_flat: sides.is_empty(), spacing, changes, faces }
     }
 
     /// Takes changes back until no part of a face is folded or slender, and none crosses another face.

@@ -48,7 +48,7 @@ class _Piece:
     """Triangles that become a Mesh, with the materials of their faces."""
 
     vertices: NDArray[Any]
-    faces: NDArray[np.int64]
+    faces: NDArray[np.uint32 | np.int64]
     uv: NDArray[np.float32] | None = None
     parts: list[Part] = field(default_factory=list)
     chord_error: float = 0.0
@@ -183,7 +183,9 @@ def _join(pieces: Sequence[_Piece]) -> _Piece:
                 uv[start : start + len(piece.vertices)] = piece.uv
     return _Piece(
         np.concatenate([checks.as_float64(piece.vertices) for piece in pieces]),
-        np.concatenate([piece.faces + start for piece, start in zip(pieces, first_vertex, strict=False)]),
+        np.concatenate(
+            [np.add(piece.faces, start, dtype=np.int64) for piece, start in zip(pieces, first_vertex, strict=False)]
+        ),
         uv,
         [
             part.with_faces(range(part.faces.start + start, part.faces.stop + start))
@@ -211,7 +213,6 @@ def _pieces(geometry: MeshLike, name: str) -> list[_Piece]:
     if isinstance(geometry, (str, os.PathLike)):
         return _from_file(geometry)
     if isinstance(geometry, Mesh):
-        faces = geometry.faces.astype(np.int64)
         properties = (
             geometry.uv,
             list(geometry.parts),
@@ -219,7 +220,7 @@ def _pieces(geometry: MeshLike, name: str) -> list[_Piece]:
             geometry.vertex_colors,
             geometry.face_colors,
         )
-        return [_Piece(geometry.vertices, faces, *properties)]
+        return [_Piece(geometry.vertices, geometry.faces, *properties)]
     if is_cloud(geometry):
         raise MeshError(f"{name}: is a cloud of points, which has no triangles; use fb.solid(cloud) first")
     if hasattr(geometry, "graph") and hasattr(geometry, "geometry"):

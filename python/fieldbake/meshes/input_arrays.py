@@ -21,8 +21,11 @@ def check_vertices(value: ArrayLike) -> NDArray[Any]:
     return array
 
 
-def check_faces(value: ArrayLike) -> NDArray[np.int64]:
-    """Check whole numbers (m, 3) and return C-contiguous int64, or raise MeshError. The core checks the range."""
+def check_faces(value: ArrayLike) -> NDArray[np.uint32 | np.int64]:
+    """Check whole numbers (m, 3), or raise MeshError. The core checks the range.
+
+    The result is C-contiguous uint32 if the input is, else int64.
+    """
     try:
         array = checks.as_array(value)
     except (ValueError, TypeError, RuntimeError, BufferError) as error:
@@ -37,6 +40,8 @@ def check_faces(value: ArrayLike) -> NDArray[np.int64]:
             f"faces: must be whole numbers, got dtype {array.dtype} (faces[0] = {array[0].tolist()}); "
             "convert with faces.astype(int)"
         )
+    if array.dtype == np.uint32:
+        return np.require(array, requirements=["C_CONTIGUOUS", "ALIGNED"])
     if array.dtype.kind == "u" and array.max() > np.iinfo(np.int64).max:
         raise MeshError(f"faces: index {array.max()} is out of range")
     return np.ascontiguousarray(array, dtype=np.int64)

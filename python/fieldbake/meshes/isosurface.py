@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -223,5 +223,5 @@ def with_thin_walls(mesh: Mesh, shape: _core.Shape, voxel: float) -> Mesh:
             f"({0.5 * voxel:.3g}), which the mesh may lose; choose more voxels",
         )
         warn_surface(warnings)
-        mesh._report = SurfaceReport(clamped_vertices=mesh._report.clamped_vertices, warnings=warnings)
+        mesh._report = replace(mesh._report or SurfaceReport(), warnings=warnings)
     return mesh

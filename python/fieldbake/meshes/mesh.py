@@ -97,10 +97,11 @@ class Mesh(Viewable, Sectioned):
         # Texture coordinates and colours follow the rows that the core kept.
         self._uv = None
         if uv is not None:
-            self._uv = checks.frozen(check_uv(uv, len(positions))[self._core.source_vertices])
-        self._vertex_colors = _kept(
-            "vertex_colors", vertex_colors, len(positions), "vertex", self._core.source_vertices
-        )
+            self._uv = checks.frozen(_kept(check_uv(uv, len(positions)), self._core.source_vertices))
+        self._vertex_colors = None
+        if vertex_colors is not None:
+            colors = check_colors("vertex_colors", vertex_colors, len(positions), "vertex")
+            self._vertex_colors = checks.frozen(_kept(colors, self._core.source_vertices))
         self._input_face_colors = None
         if face_colors is not None:
             self._input_face_colors = checks.frozen(check_colors("face_colors", face_colors, len(triangles), "face"))
@@ -121,11 +122,13 @@ class Mesh(Viewable, Sectioned):
     def _colors_of_faces(self) -> NDArray[np.float32] | None:
         """Select the colours of the kept faces from the colours of the faces of the input."""
         colors = self._input_face_colors
-        return None if colors is None else checks.frozen(colors[self._core.source_faces])
+        return None if colors is None else checks.frozen(_kept(colors, self._core.source_faces))
 
     def _placed(self, parts: Sequence[Part]) -> tuple[Part, ...]:
         """Copy parts for the kept faces. `_part_rows` has the rows of their faces in the input."""
         kept = self._core.source_faces
+        if kept is None:
+            return tuple(part.with_faces(rows) for part, rows in zip(parts, self._part_rows, strict=True))
         return tuple(
             part.with_faces(range(*np.searchsorted(kept, (rows.start, rows.stop)).tolist()))
             for part, rows in zip(parts, self._part_rows, strict=True)
@@ -135,12 +138,14 @@ class Mesh(Viewable, Sectioned):
     def _extracted(cls, vertices: NDArray[np.float64], faces: NDArray[Any], report: SurfaceReport) -> Mesh:
         """Make the mesh of a level set, the only kind of mesh that may have no faces."""
         if len(faces):
-            mesh = cls(vertices, faces.astype(np.int64, copy=False))
+            mesh = cls(vertices, faces)
         else:
             mesh = cls.__new__(cls)
             mesh._uv = mesh._vertex_colors = mesh._face_colors = None
             mesh._parts, mesh._chord_error = (), 0.0
-            mesh.__dict__.update(vertices=checks.frozen(vertices), faces=checks.frozen(faces.astype(np.uint32)))
+            mesh.__dict__.update(
+                vertices=checks.frozen(vertices), faces=checks.frozen(faces.astype(np.uint32, copy=False))
+            )
         mesh._report = report
         return mesh
 
@@ -305,7 +310,8 @@ class Mesh(Viewable, Sectioned):
         mesh._core = self._core.moved(checks.as_float64(positions))
         mesh._uv, mesh._vertex_colors = self._uv, self._vertex_colors
         mesh._input_face_colors, mesh._part_rows = self._input_face_colors, self._part_rows
-        if np.array_equal(mesh._core.source_faces, self._core.source_faces):
+        before, after = self._core.source_faces, mesh._core.source_faces
+        if before is after or (before is not None and after is not None and np.array_equal(before, after)):
             mesh._parts, mesh._face_colors = self._parts, self._face_colors
         else:
             mesh._parts, mesh._face_colors = mesh._placed(self._parts), mesh._colors_of_faces()
@@ -401,7 +407,7 @@ def restore(
         places[rows[:-1]] = vertices
         vertices = places
         faces = rows[faces]
-    mesh._core = _core.Mesh(np.ascontiguousarray(vertices), faces.astype(np.int64))
+    mesh._core = _core.Mesh(np.ascontiguousarray(vertices), np.ascontiguousarray(faces))
     mesh._uv, mesh._vertex_colors, mesh._input_face_colors = (
         None if array is None else checks.frozen(array) for array in (uv, vertex_colors, face_colors)
     )
@@ -411,6 +417,6 @@ def restore(
     return mesh
 
 
-def _kept(name: str, value: ArrayLike | None, count: int, row: str, source: NDArray[Any]) -> NDArray[np.float32] | None:
-    """Check colours and select the rows that the core kept."""
-    return None if value is None else checks.frozen(check_colors(name, value, count, row)[source])
+def _kept(rows: NDArray[Any], kept: NDArray[np.int64] | None) -> NDArray[Any]:
+    """Select the rows that the core kept; None is all of them."""
+    return rows if kept is None else rows[kept]

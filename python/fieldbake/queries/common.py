@@ -28,9 +28,10 @@ def checked_points(mesh: MeshLike, points: object) -> tuple[Mesh, NDArray[np.flo
 
 def source_faces(mesh: MeshLike, checked: Mesh, faces: NDArray[np.int64]) -> NDArray[np.int64]:
     """Convert rows of the core to rows of a Mesh argument, or of the faces that were passed or read. -1 stays."""
-    if mesh is checked:
+    kept = checked._core.source_faces
+    if mesh is checked or kept is None:
         return faces
-    rows: NDArray[np.int64] = np.where(faces >= 0, checked._core.source_faces[faces], -1)
+    rows: NDArray[np.int64] = np.where(faces >= 0, kept[faces], -1)
     return rows
 
 

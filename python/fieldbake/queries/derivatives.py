@@ -32,7 +32,8 @@ def linearize(vertices: NDArray[Any], faces: NDArray[Any], points: NDArray[Any],
     elif not isinstance(mesh, Mesh):
         raise ArgumentError(f"mesh: must be a Mesh of the same vertices and faces, got {type(mesh).__name__}")
     found = query(mesh, points)
-    rows = mesh._core.source_faces[found.faces]
+    kept = mesh._core.source_faces
+    rows = found.faces if kept is None else kept[found.faces]
     if rows.size and rows.max() >= len(faces):
         raise ArgumentError(f"mesh: has {len(mesh.faces)} faces, which differ from faces ({len(faces)} rows)")
     kind = np.asarray(points).dtype
