@@ -9,6 +9,13 @@
 //! global maximum of a function", 1972). The interval with the smallest bound is halved first, until no interval can
 //! undercut the smallest value by more than the tolerance.
 //!
+//! Two empty balls give a larger bound where the point slides along a surface. Let a path have its ends at the points
+//! p0 and p1 of the body's frame, c apart, outside the body. By Stewart's theorem every point y of the body has
+//! |y - x|^2 = (1 - t) |y - p0|^2 + t |y - p1|^2 - t (1 - t) c^2
+//! for the point x at the share t of the chord. This is at least (1 - t) g0^2 + t g1^2 - t (1 - t) c^2.
+//! A path of the length w lies in the ellipsoid with both ends as foci, so its points are at most sqrt(w^2 - c^2) / 2
+//! from the chord. At the distance g this loses c^2 / (8 g) in place of c / 2.
+//!
 //! Points near each other share the intervals that can matter: at a point at the distance r every value and every bound
 //! is lower by at most r. [`Searcher::narrow`] leaves out the intervals that cannot have the smallest distance of any
 //! point within a radius.
@@ -23,6 +30,10 @@ use std::collections::BinaryHeap;
 
 /// Intervals of a step shorter than this are not halved.
 const SHORTEST: f64 = 1e-12;
+/// Intervals on which the path is shorter than this many radii are left to the points within the radius.
+const KEPT_PATH: f64 = 3.0;
+/// Largest relative error of the lengths of a path and its chord.
+const PATH_ROUNDING: f64 = 1e-9;
 
 /// An interval of time of one body: several whole steps, or a part of one step.
 #[derive(Debug, Clone, Copy)]
@@ -52,6 +63,22 @@ impl Interval {
     fn bounded(mut self) -> Self {
         let [a, b] = self.values;
         self.bound = (0.5 * (a + b - self.path)).max(a.max(b) - self.path).max(self.bound);
+        self
+    }
+
+    /// Tightens the bound by the empty balls around both ends of the path, which are `chord` apart. The values at the
+    /// ends must be positive.
+    fn bounded_by_balls(mut self, chord: f64) -> Self {
+        let [a, b] = self.values.map(|value| value * value);
+        let square = chord * chord;
+        let share = if square > 0.0 { (0.5 * (a + square - b) / square).clamp(0.0, 1.0) } else { 0.0 };
+        let on_chord = a + share * (b - a) - share * (1.0 - share) * square;
+        // Cancellation would leave few correct digits of a smaller value.
+        if on_chord > 1e-3 * a.max(b) {
+            let path = self.path * (1.0 + PATH_ROUNDING);
+            let aside = 0.5 * (path * path - square).max(0.0).sqrt();
+            self.bound = self.bound.max(on_chord.sqrt() - aside);
+        }
         self
     }
 }
@@ -242,7 +269,7 @@ impl<'a> Searcher<'a> {
                 // The bounds of all others are larger.
                 break;
             }
-            if interval.path <= 0.5 * radius || interval.ends[1] - interval.ends[0] < SHORTEST {
+            if interval.path <= KEPT_PATH * radius || interval.ends[1] - interval.ends[0] < SHORTEST {
                 found.lower = lower;
                 kept.push(interval);
                 continue;
@@ -294,7 +321,16 @@ impl<'a> Searcher<'a> {
             self.last = Some(at);
         }
         (halves[0].values, halves[1].values) = ([values[0], value], [value, values[1]]);
-        Some(halves.map(Interval::bounded))
+        let middle = pose.inverse_point(p);
+        let tightened = |half: Interval, outer: f64, step: u32| {
+            if half.bound >= enough || half.values[0].min(half.values[1]) <= 0.0 {
+                return half;
+            }
+            let outer = steps[step as usize].at(outer).inverse_point(p);
+            half.bounded_by_balls(middle.distance(outer))
+        };
+        let [start, end] = halves.map(Interval::bounded);
+        Some([tightened(start, ends[0], first), tightened(end, ends[1], first + count - 1)])
     }
 
     /// Length of the path of `p` in the frame of the body during whole steps, at most.
@@ -332,5 +368,40 @@ impl<'a> Searcher<'a> {
             }
         }
         least
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn balls_bound_the_distance_on_arcs_and_chords() {
+        // Around a body that is one point, distances are exact, and the bound is the distance from the chord.
+        let bounded = |values: [f64; 2], chord: f64, path: f64| {
+            let ends = [0.0, 1.0];
+            let bound = f64::NEG_INFINITY;
+            Interval { body: 0, first: 0, count: 1, ends, values, path, bound }.bounded_by_balls(chord).bound
+        };
+        let mut tight = 0;
+        for i in 1..=40 {
+            for j in 0..20 {
+                // An arc of the radius 1, and the body at `place` on the line through its middle and center.
+                let half = 0.03 * f64::from(i);
+                let place = DVec3::X * (-1.0 + 0.2 * f64::from(j));
+                let at = |angle: f64| DVec3::new(angle.cos(), angle.sin(), 0.0);
+                let values = [at(-half).distance(place), at(half).distance(place)];
+                let bound = bounded(values, at(-half).distance(at(half)), 2.0 * half);
+                let on_arc = |k: i32| at(half * f64::from(k) / 100.0).distance(place);
+                let least = (-100..=100).map(on_arc).fold(f64::INFINITY, f64::min);
+                assert!(bound <= least, "{half} {place} {bound} {least}");
+                tight += i32::from(bound >= 0.5 * (values[0] + values[1]) - half);
+            }
+        }
+        // On most arcs the bound is larger than the bound by the length of the path.
+        assert!(tight >= 400, "{tight}");
+        assert!((bounded([2.0, 2.0], 1.0, 1.0) - 3.75_f64.sqrt()).abs() <= 1e-4);
+        assert!((bounded([2.0, 3.0], 1.0, 1.0) - 2.0).abs() <= 1e-4);
+        assert!(bounded([1.0, 1.0], 2.0, 2.0).is_infinite());
     }
 }
