@@ -1,6 +1,8 @@
 """Files of triangles alone: read without trimesh, as the same triangles that trimesh finds."""
 
 import io
+import json
+import struct
 import subprocess
 import sys
 import warnings
@@ -66,7 +68,32 @@ def test_plain_obj_files_have_the_triangles_that_trimesh_finds(name, tmp_path):
     assert mesh.parts[0].name == next(iter(scene.geometry))
 
 
-@pytest.mark.parametrize("kind", ["stl", "ply"])
+def with_json(content, edit):
+    """A .glb whose JSON is changed by a function."""
+    stop = 20 + struct.unpack("<I", content[12:16])[0]
+    tree = json.loads(content[20:stop])
+    edit(tree)
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    header = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(content) - stop, len(text), b"JSON")
+    return header + text + content[stop:]
+
+
+def edited_glb(edit):
+    return with_json(exported("glb"), edit)
+
+
+def narrow_glb(kind, number):
+    """A .glb whose indices are stored as a narrower type, which has a number in glTF."""
+    content = exported("glb")
+    at = len(content) - solid().faces.size * 4 - solid().vertices.size * 4
+    indices = np.frombuffer(content, "<u4", solid().faces.size, at)
+    narrow = indices.astype(kind).tobytes().ljust(indices.nbytes, b"\0")
+    narrowed = content[:at] + narrow + content[at + indices.nbytes :]
+    return with_json(narrowed, lambda tree: tree["accessors"][0].update(componentType=number))
+
+
+@pytest.mark.parametrize("kind", ["stl", "ply", "glb"])
 def test_binary_files_have_the_arrays_that_trimesh_finds(kind, tmp_path):
     path = tmp_path / f"a.{kind}"
     path.write_bytes(exported(kind))
@@ -74,13 +101,39 @@ def test_binary_files_have_the_arrays_that_trimesh_finds(kind, tmp_path):
 
     mesh = fb.load_mesh(path)
 
-    (other,) = trimesh.load_scene(path, process=False).geometry.values()
+    ((name, other),) = trimesh.load_scene(path, process=False).geometry.items()
     assert np.array_equal(mesh.vertices, other.vertices)
     assert np.array_equal(mesh.faces, other.faces)
-    assert mesh.parts[0].name == path.name
+    assert mesh.parts[0].name == (name if kind == "glb" else path.name)
 
 
-@pytest.mark.parametrize("suffix", [".obj", ".stl", ".ply"])
+GLB = {
+    "no name": edited_glb(lambda tree: tree["meshes"][0].pop("name")),
+    "a node above": edited_glb(lambda tree: tree.update(nodes=[{"children": [1]}, {"mesh": 0}])),
+    "bytes as indices": narrow_glb("u1", 5121),
+    "shorts as indices": narrow_glb("<u2", 5123),
+}
+
+
+@pytest.mark.parametrize("name", GLB)
+def test_plain_glb_files_are_read_as_by_trimesh(name, tmp_path, monkeypatch):
+    path = tmp_path / "a.glb"
+    path.write_bytes(GLB[name])
+    assert read_plain(".glb", path.read_bytes()) is not None
+
+    mesh = fb.load_mesh(path)
+    scene = fb.load_scene(path)
+
+    monkeypatch.setattr("fieldbake.meshes.convert.read_plain", lambda *_: None)
+    for read in (mesh, scene.instances[0].geometry):
+        other = fb.load_mesh(path)
+        assert np.array_equal(read.vertices, other.vertices)
+        assert np.array_equal(read.faces, other.faces)
+        assert [(part.name, part.faces) for part in read.parts] == [(part.name, part.faces) for part in other.parts]
+    assert np.array_equal(scene.instances[0].transform, np.eye(4))
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".stl", ".ply", ".glb"])
 def test_own_files_come_back_without_trimesh(suffix, tmp_path):
     made = fb.models.gear()
     made.save(tmp_path / f"gear{suffix}")
@@ -106,6 +159,23 @@ OTHER = {
     "a cut stl": (".stl", exported("stl")[:-1]),
     "a cut ply": (".ply", exported("ply")[:-1]),
     "a long ply": (".ply", exported("ply") + b"0"),
+    "a cut glb": (".glb", exported("glb")[:-1]),
+    "a moved node": (".glb", edited_glb(lambda tree: tree["nodes"][0].update(translation=[1, 0, 0]))),
+    "a mesh shown twice": (
+        ".glb",
+        edited_glb(lambda tree: tree.update(nodes=[{"children": [1], "mesh": 0}, {"mesh": 0}])),
+    ),
+    "a hidden node": (".glb", edited_glb(lambda tree: tree["scenes"][0].update(nodes=[]))),
+    "a scene of glb without a mesh": (".glb", edited_glb(lambda tree: tree.update(nodes=[{}]))),
+    "an extension": (".glb", edited_glb(lambda tree: tree.update(extensionsUsed=["EXT_a"]))),
+    "a material of glb": (
+        ".glb",
+        edited_glb(lambda tree: (tree.update(materials=[{}]), tree["meshes"][0]["primitives"][0].update(material=0))),
+    ),
+    "strips": (".glb", edited_glb(lambda tree: tree["meshes"][0]["primitives"][0].update(mode=5))),
+    "rows with gaps": (".glb", edited_glb(lambda tree: tree["bufferViews"][1].update(byteStride=12))),
+    "a buffer beside the file": (".glb", edited_glb(lambda tree: tree["buffers"][0].update(uri="a.bin"))),
+    "sparse positions": (".glb", edited_glb(lambda tree: tree["accessors"][1].update(sparse={}))),
 }
 
 
@@ -122,7 +192,7 @@ def test_colours_of_a_ply_are_left_to_trimesh(tmp_path):
     assert fb.load_mesh(tmp_path / "a.ply").vertex_colors is not None
 
 
-@given(data=st.data(), kind=st.sampled_from(["obj", "stl", "ply"]))
+@given(data=st.data(), kind=st.sampled_from(["obj", "stl", "ply", "glb"]))
 def test_damage_is_an_error_or_another_mesh(tmp_path_factory, data, kind):
     path = tmp_path_factory.getbasetemp() / f"damaged.{kind}"
     content = (CUBE + QUADS).encode() if kind == "obj" else exported(kind)

@@ -27,7 +27,7 @@ from .input_arrays import check_colors, check_faces, check_uv, check_vertices
 from .interop import is_cloud, triangles_of
 from .mesh import Mesh
 from .part import ALPHA_MODES, Part
-from .plain_files import object_name, read_plain
+from .plain_files import read_plain
 from .ply_strips import with_strips
 from .referenced_files import resolver_beside
 
@@ -291,8 +291,8 @@ def _read_file(path: str | os.PathLike[str], take: Callable[[Any, Document | Non
     except MemoryError as error:
         raise checks.too_large(file) from error
     if plain is not None:
-        name = (object_name(head) if ending == ".obj" else "") or file.name
-        return [_Piece(*plain, parts=[Part(name, range(len(plain[1])))])]
+        (vertices, faces), name = plain
+        return [_Piece(vertices, faces, parts=[Part(name or file.name, range(len(faces)))])]
     if head.startswith(b"DRACO"):
         raise MeshError(
             f"{path}: is a file of Draco, which is not read; decode it with `draco_decoder -i FILE -o MESH.ply`, or in "

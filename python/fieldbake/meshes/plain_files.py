@@ -1,4 +1,4 @@
-"""Triangles of .obj, binary .stl and binary .ply files that have no materials and no colours, without trimesh.
+"""Triangles of .obj, .glb, binary .stl and binary .ply files that have no materials and no colours, without trimesh.
 
 trimesh takes most of a second to import. Every file that needs more than positions and triangles, and every damaged
 file, is left to it.
@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
+from .plain_gltf import read_plain_glb
 
-Triangles = tuple[NDArray[Any], NDArray[np.int64]]
+Triangles = tuple[NDArray[Any], NDArray[Any]]
 
 #: Bytes of the header of a binary .stl, and the record of a face.
 STL_HEADER_BYTES = 84
@@ -31,21 +32,30 @@ PLY_VERTEX = {b"x", b"y", b"z", b"nx", b"ny", b"nz", b"quality", b"confidence", 
 
 
 def object_name(content: bytes) -> str:
-    """Return the name of the object that the first face of an .obj belongs to; empty if it has none."""
+    """Find the name of the object that the first face of an .obj belongs to; empty if it has none."""
     names = re.findall(rb"^o[ \t]+(.*?)[ \t\r]*$", content[: content.find(b"\nf") + 1], re.MULTILINE)
     return str(names[-1], "utf-8", "replace") if names else ""
 
 
-def read_plain(ending: str, content: bytes) -> Triangles | None:
-    """Read the vertices (n, 3) and faces (m, 3) of the content of a file; None if trimesh must read it."""
-    found = None
+def read_plain(ending: str, content: bytes) -> tuple[Triangles, str] | None:
+    """Read the content of a file; None if trimesh must read it.
+
+    Returns
+    -------
+    tuple
+        Vertices (n, 3) and faces (m, 3), and the name of the mesh; an empty name means that the file states none.
+    """
+    triangles: Triangles | None = None
+    name = ""
     if ending == ".obj":
-        found = _core.read_obj(content)
+        triangles, name = _core.read_obj(content), object_name(content)
     elif ending == ".stl":
-        found = _read_stl(content)
+        triangles = _read_stl(content)
     elif ending == ".ply":
-        found = _read_ply(content)
-    return found if found is not None and len(found[1]) > 0 else None
+        triangles = _read_ply(content)
+    elif ending == ".glb":
+        triangles, name = read_plain_glb(content)
+    return (triangles, name) if triangles is not None and len(triangles[1]) > 0 else None
 
 
 def _read_stl(content: bytes) -> Triangles | None:
