@@ -141,8 +141,9 @@ class Mesh:
 class Bodies:
     """The geometry of rigid bodies."""
 
-    def __new__(cls, count: int, elements: list[tuple[int, Mesh | Shape, list[list[float]], float]]) -> Bodies:
-        """``elements``: the body, the geometry, its transform (4, 4) to the body, and the scale of the transform."""
+    def __new__(cls, count: int, elements: list[tuple[Any, ...]]) -> Bodies:
+        """``elements``: the body, the geometry, its transform (4, 4) to the body, the scale of the transform, and the
+        shape whose triangles the geometry is with their largest deviation, or None."""
     @property
     def count(self) -> int:
         """Number of geometries."""

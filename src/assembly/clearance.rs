@@ -39,6 +39,8 @@ pub struct Clearance {
     pub points: [[f64; 3]; 2],
     /// Unit vector from the second body to the first.
     pub normal: [f64; 3],
+    /// The place where the larger distance from both bodies is smallest; NaN beyond the cutoff.
+    pub center: [f64; 3],
 }
 
 /// Accuracy of a call.
@@ -186,8 +188,13 @@ fn of_bodies(
         }
     }
     waiting.sort_by(|x, y| x.0.total_cmp(&y.0));
-    let far =
-        Clearance { distance: f64::INFINITY, error: f64::INFINITY, points: [[f64::NAN; 3]; 2], normal: [f64::NAN; 3] };
+    let far = Clearance {
+        distance: f64::INFINITY,
+        error: f64::INFINITY,
+        points: [[f64::NAN; 3]; 2],
+        normal: [f64::NAN; 3],
+        center: [f64::NAN; 3],
+    };
     let mut best = far;
     // The smallest proven lower bound over all pairs.
     let mut least = f64::INFINITY;
@@ -218,6 +225,10 @@ fn of_bodies(
 }
 
 /// The clearance of two posed geometries; none if it is certainly at least `limit`.
+///
+/// Where a geometry is the triangles of a shape, both differ by at most a deviation. The clearance of the triangles
+/// therefore bounds the clearance of the shapes from below. Projections onto the surfaces of the shapes begin at the
+/// result of the triangles, and their end bounds the clearance from above.
 fn of_elements(
     first: &Prepared<'_>,
     second: &Prepared<'_>,
@@ -226,19 +237,78 @@ fn of_elements(
     relative_tolerance: f64,
     progress: &Progress,
 ) -> Option<Clearance> {
-    // All is computed in the frame of the first geometry.
+    let sources = [first, second].map(|set| set.element.source.as_ref());
+    if sources.iter().all(Option::is_none) {
+        return of_geometries(first, second, places, limit, relative_tolerance, progress);
+    }
+    // A distance changes by at most the sum of both deviations, and twice a depth by twice the larger one.
+    let slack = sources.iter().flatten().fold(0.0_f64, |slack, (_, deviation)| slack.max(2.0 * deviation));
+    let found = of_geometries(first, second, places, limit + slack, relative_tolerance, progress)?;
+    let lower = found.distance - found.error - slack;
+    if lower >= limit {
+        return None;
+    }
+
+    let frames = [HERE, between(places)];
+    let solid = |i: usize| match sources[i] {
+        Some((shape, _)) => Solid::new(shape, frames[i], false),
+        None => Solid::new(&[first, second][i].element.geometry, frames[i], true),
+    };
+    let (mut a, mut b) = (solid(0), solid(1));
+    let center = places[0].inverse_point(DVec3::from_array(found.center));
+    let size = first.size().min(second.size()).min(1e30) + center.length();
+    let world = |points: [DVec3; 2]| points.map(|point| places[0].point(point));
+    let (distance, points, normal) = match project(&mut a, &mut b, center, size, ACCURACY * size) {
+        Some((p, q, apart, _)) => (apart, world([p, q]), (p - q) / apart),
+        // The solids have a common point. Fields are bounds of distances, also inside.
+        None => {
+            let depth = a.distance(center).max(b.distance(center)).min(0.0);
+            let ((gradient_a, p), (gradient_b, q)) = (a.gradient_and_point(center), b.gradient_and_point(center));
+            (2.0 * depth, world([p, q]), (gradient_b - gradient_a).try_normalize().unwrap_or(gradient_b))
+        }
+    };
+    Some(Clearance {
+        distance,
+        error: (distance - lower).max(0.0),
+        points: points.map(|point| point.to_array()),
+        normal: (places[0].rotation * normal).to_array(),
+        center: found.center,
+    })
+}
+
+/// The frame in which two geometries are compared: the frame of the first one.
+const HERE: Similarity = Similarity { rotation: glam::DMat3::IDENTITY, translation: DVec3::ZERO, scale: 1.0 };
+
+/// The pose of the second geometry in the frame of the first one.
+fn between(places: [Similarity; 2]) -> Similarity {
     let back = places[0].rotation.transpose();
-    let place = Similarity {
+    Similarity {
         rotation: back * places[1].rotation,
         translation: back * (places[1].translation - places[0].translation),
         scale: 1.0,
-    };
-    let here = Similarity { rotation: glam::DMat3::IDENTITY, translation: DVec3::ZERO, scale: 1.0 };
-    let mut solids = [Solid::new(first.element, here), Solid::new(second.element, place)];
+    }
+}
+
+/// [`of_elements`] for geometries as they are.
+fn of_geometries(
+    first: &Prepared<'_>,
+    second: &Prepared<'_>,
+    places: [Similarity; 2],
+    limit: f64,
+    relative_tolerance: f64,
+    progress: &Progress,
+) -> Option<Clearance> {
+    let (here, place) = (HERE, between(places));
+    let mut solids =
+        [Solid::new(&first.element.geometry, here, true), Solid::new(&second.element.geometry, place, true)];
     let floor = FLOOR * first.size().min(second.size()).min(1e30);
-    let done = |distance: f64, error: f64, points: [DVec3; 2], normal: DVec3| {
-        let [p, q] = points.map(|point| places[0].point(point).to_array());
-        Some(Clearance { distance, error, points: [p, q], normal: (places[0].rotation * normal).to_array() })
+    let done = |distance: f64, error: f64, points: [DVec3; 2], normal: DVec3, center: DVec3| {
+        let [p, q, center] = [points[0], points[1], center].map(|point| places[0].point(point).to_array());
+        let normal = (places[0].rotation * normal).to_array();
+        Some(Clearance { distance, error, points: [p, q], normal, center })
+    };
+    let apart_by = |distance: f64, error: f64, points: [DVec3; 2], normal: DVec3| {
+        done(distance, error, points, normal, 0.5 * (points[0] + points[1]))
     };
 
     let mut start = None;
@@ -250,12 +320,12 @@ fn of_elements(
             let (apart, p, q) = distance([a, b], &place, limit + radii)?;
             let n = (p - q).try_normalize();
             if let (true, Some(n)) = (apart > radii, n) {
-                return done(apart - radii, 0.0, [p - n * *radius_a, q + n * *radius_b], n);
+                return apart_by(apart - radii, 0.0, [p - n * *radius_a, q + n * *radius_b], n);
             }
             // Balls and capsules: the largest ball of the overlap lies on the line of the closest points.
             let is_thin = *radius_a > 0.0 && *radius_b > 0.0;
             if let (true, Some(n)) = (is_thin && (radius_a - radius_b).abs() <= apart, n) {
-                return done(apart - radii, 0.0, [p - n * *radius_a, q + n * *radius_b], n);
+                return apart_by(apart - radii, 0.0, [p - n * *radius_a, q + n * *radius_b], n);
             }
             start = Some(0.5 * (p + q));
         }
@@ -270,20 +340,25 @@ fn of_elements(
     if let Some((p, q, apart, lower)) = projected
         && apart - lower <= floor
     {
-        return if lower >= limit { None } else { done(apart, apart - lower, [p, q], (p - q) / apart) };
+        return if lower >= limit { None } else { apart_by(apart, apart - lower, [p, q], (p - q) / apart) };
     }
     // A mesh and a convex shape.
+    let mut tangents = None;
     for (mesh, of, other) in [(first, 0, 1), (second, 1, 0)] {
         let own = [here, place][of];
         if let (Some((Triangles::Mesh(set), _)), Some((p, q, ..)), true) =
             (&mesh.triangles, projected, solids[other].is_convex())
             && solids[of].distance([p, q][other]) > 0.0
             && let Some((apart, points, lower)) = distance_from_convex(set, &own, &mut solids[other], floor)
-            && apart - lower <= 2.0 * floor
         {
             let [p, q] = if of == 0 { points } else { [points[1], points[0]] };
-            return if lower >= limit { None } else { done(apart, apart - lower, [p, q], (p - q) / apart) };
+            tangents = Some((apart, lower, p, q));
         }
+    }
+    if let Some((apart, lower, p, q)) = tangents
+        && apart - lower <= (relative_tolerance * apart).max(2.0 * floor)
+    {
+        return if lower >= limit { None } else { apart_by(apart, apart - lower, [p, q], (p - q) / apart) };
     }
     let [a, b] = &mut solids;
     // The minimum lies within its value of both boxes.
@@ -316,7 +391,7 @@ fn of_elements(
             (p, q, p.distance(q), lower)
         });
         let apart = apart.min(2.0 * found.upper);
-        return done(
+        return apart_by(
             apart,
             (apart - lower.max(own)).max(unproven),
             [p, q],
@@ -325,7 +400,7 @@ fn of_elements(
     }
     let ((gradient_a, p), (gradient_b, q)) = (a.gradient_and_point(found.at), b.gradient_and_point(found.at));
     let normal = (gradient_b - gradient_a).try_normalize().unwrap_or(gradient_b);
-    done(2.0 * found.upper, (2.0 * (found.upper - found.lower)).max(unproven), [p, q], normal)
+    done(2.0 * found.upper, (2.0 * (found.upper - found.lower)).max(unproven), [p, q], normal, found.at)
 }
 
 /// Whether a component of a set begins inside a solid. `place` belongs to the set, `other` to the solid.

@@ -73,6 +73,8 @@ pub enum Geometry {
 #[derive(Debug, Clone)]
 pub struct Element {
     pub(crate) geometry: Geometry,
+    /// The shape whose triangles the geometry is, and the largest deviation of the triangles from it.
+    pub(crate) source: Option<(Geometry, f64)>,
     pub(crate) body: usize,
     /// Body from geometry.
     pub(crate) place: Similarity,
@@ -93,14 +95,16 @@ impl Bodies {
         Self { elements: Vec::new(), count }
     }
 
-    /// Fixes a geometry to a body.
-    pub fn add(&mut self, body: usize, geometry: Geometry, place: Similarity) {
+    /// Fixes a geometry to a body. `source` is the shape whose triangles the geometry is, and their largest deviation
+    /// from it.
+    pub fn add(&mut self, body: usize, geometry: Geometry, place: Similarity, source: Option<(Arc<ClosedForm>, f64)>) {
         let bounds = match &geometry {
             // A point outside the box of an open mesh may be inside by the winding number.
             Geometry::Mesh(mesh) => mesh.topology().closed.then(|| mesh.bounds()),
             Geometry::Shape(shape) => shape.solid().bounds().ok(),
         };
-        self.elements.push(Element { geometry, body, place, bounds });
+        let source = source.map(|(shape, deviation)| (Geometry::Shape(shape), deviation));
+        self.elements.push(Element { geometry, source, body, place, bounds });
     }
 
     /// Number of bodies.

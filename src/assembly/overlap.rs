@@ -18,7 +18,7 @@
 //! from the face nearest to c: inside, the depth is at most the distance from any part of the surface, and distances
 //! from convex sets are convex. Any other has a(c) - |x - c|.
 
-use super::{Element, Geometry, Similarity};
+use super::{Geometry, Similarity};
 use crate::csg::model::token::Token;
 use crate::csg::parts::closed_form::Scratch;
 use crate::csg::tree::primitive::Primitive;
@@ -37,11 +37,15 @@ const MAX_STEPS: usize = 5000;
 const ROUNDING: f64 = 1e-13;
 /// Share of the size by which the closest points of convex solids may move in the last step.
 const STAYS: f64 = 1e-11;
+/// Largest number of steps to the surface of a field that is a bound of the distance.
+const MAX_SURFACE_STEPS: usize = 100;
 
 /// A posed solid.
 pub(super) struct Solid<'a> {
-    element: &'a Element,
+    geometry: &'a Geometry,
     place: Similarity,
+    /// Whether the field is the distance, and no bound of it.
+    is_distance: bool,
     search: Option<Search<'a>>,
     scratch: Scratch,
     /// The primitive of a convex closed form, and its placement.
@@ -58,20 +62,20 @@ pub(super) struct Value {
 }
 
 impl<'a> Solid<'a> {
-    pub(super) fn new(element: &'a Element, place: Similarity) -> Self {
-        let (search, leaf) = match &element.geometry {
+    pub(super) fn new(geometry: &'a Geometry, place: Similarity, is_distance: bool) -> Self {
+        let (search, leaf) = match geometry {
             Geometry::Mesh(mesh) => (Some(Search::new(mesh)), None),
             Geometry::Shape(shape) => {
                 (None, convex_leaf(shape.solid()).map(|(primitive, own)| (primitive, place.after(&own))))
             }
         };
-        Self { element, place, search, scratch: Scratch::default(), leaf }
+        Self { geometry, place, is_distance, search, scratch: Scratch::default(), leaf }
     }
 
     /// The signed distance.
     pub(super) fn distance(&mut self, p: DVec3) -> f64 {
         let local = self.place.inverse_point(p);
-        match (&self.element.geometry, &mut self.search) {
+        match (self.geometry, &mut self.search) {
             (Geometry::Shape(shape), _) => shape.distance(local, &mut self.scratch),
             (_, Some(search)) => search.nearest(local, f64::INFINITY).map_or(f64::INFINITY, |found| found.distance),
             _ => f64::INFINITY,
@@ -86,7 +90,7 @@ impl<'a> Solid<'a> {
     /// The signed distance, its gradient and the nearest face.
     pub(super) fn value(&mut self, p: DVec3) -> Value {
         let local = self.place.inverse_point(p);
-        match (&self.element.geometry, &mut self.search) {
+        match (self.geometry, &mut self.search) {
             (Geometry::Shape(shape), _) => {
                 let (distance, gradient) = shape.distance_and_gradient(local, &mut self.scratch);
                 Value { distance, gradient: self.place.rotation * gradient, face: None }
@@ -111,6 +115,24 @@ impl<'a> Solid<'a> {
     pub(super) fn gradient_and_point(&mut self, p: DVec3) -> (DVec3, DVec3) {
         let value = self.value(p);
         (value.gradient, p - value.distance * value.gradient)
+    }
+
+    /// The nearest surface point of a point outside; none inside. On a bound of the distance it is the end of steps
+    /// along the gradients, within `accuracy` of the surface, and no nearest point.
+    fn projection(&mut self, p: DVec3, accuracy: f64) -> Option<DVec3> {
+        let mut value = self.value(p);
+        if value.distance <= 0.0 {
+            return None;
+        }
+        let mut surface = p - value.distance * value.gradient;
+        for _ in 0..if self.is_distance { 0 } else { MAX_SURFACE_STEPS } {
+            value = self.value(surface);
+            if value.distance <= accuracy {
+                break;
+            }
+            surface -= value.distance * value.gradient;
+        }
+        Some(surface)
     }
 
     /// Lower bounds of the distance in a cell, at its corners.
@@ -195,10 +217,7 @@ pub(super) fn project(
     size: f64,
     gap: f64,
 ) -> Option<(DVec3, DVec3, f64, f64)> {
-    let onto = |solid: &mut Solid<'_>, p: DVec3| {
-        let value = solid.value(p);
-        (value.distance > 0.0).then(|| p - value.distance * value.gradient)
-    };
+    let onto = |solid: &mut Solid<'_>, p: DVec3| solid.projection(p, ROUNDING * size);
     // The planes of support at the ends of a segment from a to b separate convex solids by at least this.
     let separation = |a: &Solid<'_>, b: &Solid<'_>, segment: DVec3| {
         let n = segment.try_normalize()?;

@@ -77,8 +77,8 @@ fn the_inverse_and_the_composition_of_similarities_are_those_of_points() {
 #[test]
 fn the_smallest_distance_is_that_of_the_closed_forms() {
     let mut bodies = Bodies::new(2);
-    bodies.add(0, ball(0.75), Similarity::from_rows(&moved([0.0, 0.0, 1.0]), 1.0));
-    bodies.add(1, cube(false), Similarity::from_rows(&IDENTITY, 1.0));
+    bodies.add(0, ball(0.75), Similarity::from_rows(&moved([0.0, 0.0, 1.0]), 1.0), None);
+    bodies.add(1, cube(false), Similarity::from_rows(&IDENTITY, 1.0), None);
     let poses = [IDENTITY, moved([3.0, 0.0, 0.0]), moved([0.0, 2.0, 0.0]), IDENTITY];
     let points: Vec<[f64; 3]> =
         (0..7 * 7 * 7).map(|i| [i % 7, i / 7 % 7, i / 49].map(|step| f64::from(step) * 1.25 - 3.1)).collect();
@@ -102,7 +102,7 @@ fn the_smallest_distance_is_that_of_the_closed_forms() {
 #[test]
 fn paired_points_belong_to_one_configuration_each() {
     let mut bodies = Bodies::new(1);
-    bodies.add(0, ball(1.0), Similarity::from_rows(&IDENTITY, 1.0));
+    bodies.add(0, ball(1.0), Similarity::from_rows(&IDENTITY, 1.0), None);
     let poses = [IDENTITY, moved([10.0, 0.0, 0.0])];
     let points = [[3.0, 0.0, 0.0], [0.0, 0.5, 0.0], [3.0, 0.0, 0.0], [10.0, 0.5, 0.0]];
     let request = Request { poses: &poses, configurations: 2, points: &points, is_paired: true, searched: &[true] };
@@ -113,8 +113,8 @@ fn paired_points_belong_to_one_configuration_each() {
 #[test]
 fn bodies_that_are_not_searched_have_no_distance() {
     let mut bodies = Bodies::new(2);
-    bodies.add(0, ball(1.0), Similarity::from_rows(&IDENTITY, 1.0));
-    bodies.add(1, cube(true), Similarity::from_rows(&moved([0.0, 0.0, 5.0]), 1.0));
+    bodies.add(0, ball(1.0), Similarity::from_rows(&IDENTITY, 1.0), None);
+    bodies.add(1, cube(true), Similarity::from_rows(&moved([0.0, 0.0, 5.0]), 1.0), None);
     let points = [[0.0, 0.0, 2.0]];
     let found = |searched: [bool; 2]| {
         let poses = [IDENTITY; 2];
@@ -141,8 +141,8 @@ fn shape(kind: &str, sizes: &[f64]) -> Geometry {
 /// The clearance of two geometries, the second one with a pose.
 fn clearance_of(first: Geometry, second: Geometry, pose: [[f64; 4]; 4], cutoff: f64) -> Clearance {
     let mut bodies = Bodies::new(2);
-    bodies.add(0, first, Similarity::from_rows(&IDENTITY, 1.0));
-    bodies.add(1, second, Similarity::from_rows(&IDENTITY, 1.0));
+    bodies.add(0, first, Similarity::from_rows(&IDENTITY, 1.0), None);
+    bodies.add(1, second, Similarity::from_rows(&IDENTITY, 1.0), None);
     let options = Options { cutoff, relative_tolerance: 1e-3 };
     clearances(&bodies, &[IDENTITY, pose], &[[0, 1]], &options, &Progress::default()).unwrap()[0]
 }

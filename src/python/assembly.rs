@@ -20,16 +20,18 @@ pub struct Bodies(pub(super) core::Bodies);
 /// World-from-body poses (k, 4, 4).
 type Poses<'py> = PyReadonlyArray3<'py, f64>;
 
-/// The body, the geometry, its transform (4, 4) to the body, and the scale of the transform.
-type Element<'py> = (usize, Bound<'py, PyAny>, [[f64; 4]; 4], f64);
+/// The body, the geometry, its transform (4, 4) to the body, the scale of the transform, and the shape whose triangles
+/// the geometry is with their largest deviation.
+type Element<'py> = (usize, Bound<'py, PyAny>, [[f64; 4]; 4], f64, Option<(Bound<'py, Shape>, f64)>);
 
 #[pymethods]
 impl Bodies {
-    /// `elements`: the body, the geometry, its transform (4, 4) to the body, and the scale of the transform.
+    /// `elements`: the body, the geometry, its transform (4, 4) to the body, the scale of the transform, and the shape
+    /// whose triangles the geometry is with their largest deviation, or None.
     #[new]
     fn new(py: Python<'_>, count: usize, elements: Vec<Element<'_>>) -> PyResult<Self> {
         let mut bodies = core::Bodies::new(count);
-        for (body, geometry, rows, scale) in elements {
+        for (body, geometry, rows, scale, source) in elements {
             let geometry = if let Ok(mesh) = geometry.cast::<Mesh>() {
                 let mesh = mesh.get();
                 mesh.prepare(py)?;
@@ -38,7 +40,11 @@ impl Bodies {
                 let solid = geometry.cast::<Shape>()?.get().solid(py)?;
                 Geometry::Shape(Arc::new(ClosedForm::new(solid)))
             };
-            bodies.add(body, geometry, Similarity::from_rows(&rows, scale));
+            let source = match source {
+                Some((shape, deviation)) => Some((Arc::new(ClosedForm::new(shape.get().solid(py)?)), deviation)),
+                None => None,
+            };
+            bodies.add(body, geometry, Similarity::from_rows(&rows, scale), source);
         }
         Ok(Self(bodies))
     }

@@ -1,5 +1,7 @@
 """Clearances: closed forms, coal, brute force on grids, and the proven gap."""
 
+import pickle
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -47,6 +49,15 @@ CLOSED_FORMS = {
     "cylinders": (fb.cylinder(0.5, 2), fb.cylinder(0.25, 2), pose((2, 0, 0.3)), 1.25, 1e-9),
     "cylinder and plane": (fb.cylinder(0.5, 2), fb.plane((0, 0, 1), -3), pose(), 2.0, 1e-9),
     "torus and ball": (fb.torus(1, 0.25), BALL, pose((3, 0, 0)), 1.25, 1e-9),
+    "a lid over a lip": (fb.rectangle((20, 10)).extrude(4) - fb.rectangle((18, 8)).extrude(5),
+                         fb.rectangle((17.6, 7.6)).extrude(4) - fb.rectangle((15, 5)).extrude(5), pose(), 0.2, 1e-9),
+    "a tube in a bore": (fb.circle(13).extrude(10) - fb.cylinder(11.5, 20),
+                         (fb.circle(15) - fb.circle(13.2)).extrude(10), pose(), 0.2, 1e-9),
+    # The walls of both cross, and the thinner one limits the ball.
+    "tubes through each other": (fb.circle(13).extrude(10) - fb.cylinder(11.5, 20),
+                                 (fb.circle(15) - fb.circle(13.2)).extrude(10), pose((3, 0, 0)), -1.5, 3e-3),
+    "a box in the rim of a tube": (fb.circle(5).extrude(4) - fb.circle(3).extrude(9), fb.box((2, 2, 2)),
+                                   pose((4, 0, 2.5)), -0.5, 3e-3),
     "a box in a mesh": (fb.Mesh(*meshes.box((-3, -3, -3), (3, 3, 3))), fb.box((1, 2, 3)), pose((0.2, 0, 0)), -1, 1e-3),
     "a mesh in a ball": (fb.sphere(9), fb.Mesh(*meshes.box()), pose(), -2, 2e-3),
 }  # fmt: skip
@@ -84,6 +95,21 @@ def test_closed_forms(name):
         again = one(a, b, pose_a=moved, pose_b=moved @ place)
         assert again[0] == pytest.approx(distance, abs=1e-9)
         assert again[2] == pytest.approx(moved[:3, :3] @ p + moved[:3, 3], abs=1e-6)
+
+
+def test_the_flanks_of_a_thread_have_their_clearance():
+    bolt = fb.thread(8, 1.25, 12, clearance=0.1)
+    nut = fb.circle(7.5).extrude(6.5) - fb.thread(8, 1.25, 8, internal=True)
+
+    distance, error, p, q, _ = one(bolt, nut)
+
+    assert distance == pytest.approx(0.1, abs=1e-6)
+    assert distance - error <= 0.1
+    assert np.abs([bolt.distance([p])[0], nut.distance([q])[0]]).max() <= 1e-9
+    joined = fb.Assembly({"bolt": bolt, "nut": nut})
+    for assembly in (joined, pickle.loads(pickle.dumps(joined))):
+        assert assembly.clearance().distances == pytest.approx([distance], abs=1e-9)
+        assert assembly.clearance(cutoff=0.05).distances[0] <= 0.1
 
 
 def coal_model(coal, mesh):

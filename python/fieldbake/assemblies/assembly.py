@@ -20,7 +20,7 @@ from ..base.report import MIXED_SIGN_REASON, Report
 from ..meshes.mesh import Mesh
 from ..shapes.shape import MESH_RESOLUTION, Shape
 from .clearances import of_pairs, with_environment
-from .geometry import BodyLike, check_rigid, elements_of
+from .geometry import BodyLike, check_rigid, core_element, elements_of
 from .joint import Joint
 from .jointed import JointedBodies
 from .mjcf import read_mjcf
@@ -394,12 +394,8 @@ class Assembly(JointedBodies):
     @cached_property
     def _core_bodies(self) -> _core.Bodies:
         """The bodies in the core, with their search trees."""
-        elements = [
-            (i, source._core, place.tolist(), 1.0)
-            for i, body in enumerate(self._bodies.values())
-            for source, place in body
-        ]
-        return _core.Bodies(len(self._bodies), elements)
+        bodies = enumerate(self._bodies.values())
+        return _core.Bodies(len(self._bodies), [core_element(i, *element) for i, body in bodies for element in body])
 
     def _surface_warnings(self, searched: list[bool]) -> tuple[str, ...]:
         """Issue one warning about the surfaces of all searched meshes, and return its messages."""

@@ -17,7 +17,7 @@ from ..base.progress import Progress, progress_callback
 from ..base.report import MIXED_SIGN_REASON, Report
 from ..meshes.mesh import Mesh
 from ..shapes.shape import MESH_RESOLUTION, Shape
-from .geometry import BodyLike, elements_of, rigid
+from .geometry import BodyLike, core_element, elements_of, rigid
 from .results import Clearance
 
 Elements = Sequence[tuple[Mesh | Shape, NDArray[np.float64]]]
@@ -76,6 +76,10 @@ def clearance(
     tangents that for a mesh and a convex one, in most cases to 1e-9 of the size. Overlaps, and pairs without such a
     proof, are searched by branch and bound. `errors` is the proven gap in every case.
 
+    A shape that is not `exact` becomes its closed mesh of 128 voxels along the longest side. The distance of the meshes
+    is the start of projections onto the surfaces of the shapes themselves, whose end is the result. `errors` then
+    contains the deviation of the meshes, which is measured at vertices and centres of faces. A volume is its mesh.
+
     Examples
     --------
     >>> import fieldbake as fb
@@ -108,9 +112,7 @@ def of_pairs(
         raise ArgumentError(f"cutoff: must be above 0, got {limit:g}")
     tolerance = checks.number("relative_tolerance", relative_tolerance, above=0)
     start = time.perf_counter()
-    core = _core.Bodies(
-        len(bodies), [(i, source._core, place.tolist(), 1.0) for i, own in enumerate(bodies) for source, place in own]
-    )
+    core = _core.Bodies(len(bodies), [core_element(i, *element) for i, own in enumerate(bodies) for element in own])
     with progress_callback(progress, "clearance") as callback:
         distances, errors, first, second, normals = core.clearance(
             np.ascontiguousarray(poses.reshape(-1, 4, 4)),

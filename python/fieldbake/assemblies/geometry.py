@@ -41,7 +41,9 @@ def searchable(geometry: Any, resolution: int) -> tuple[Mesh | Shape, float]:
         if geometry.exact:
             return geometry, 0.0
         mesh = geometry.to_mesh(resolution, progress=False)
-        return mesh, _deviation(mesh, geometry.distance)
+        deviation = _deviation(mesh, geometry.distance)
+        mesh._source = geometry, deviation
+        return mesh, deviation
     if isinstance(geometry, GridField):
         mesh = geometry.to_mesh(progress=False)
         return mesh, _deviation(mesh, geometry.sample)
@@ -53,6 +55,14 @@ def _deviation(mesh: Mesh, field: Any) -> float:
         raise ArgumentError("the geometry has no surface at this resolution; raise shape_resolution")
     points = np.concatenate([mesh.vertices, mesh.vertices[mesh.faces].mean(axis=1)])
     return float(np.abs(field(points)).max())
+
+
+def core_element(
+    body: int, geometry: Mesh | Shape, transform: NDArray[np.float64], scale: float = 1.0
+) -> tuple[Any, ...]:
+    """Make an element of `_core.Bodies`; `transform` is body-from-geometry."""
+    source = geometry._source if isinstance(geometry, Mesh) else None
+    return body, geometry._core, transform.tolist(), scale, None if source is None else (source[0]._core, source[1])
 
 
 def rigid(name: str, value: Any, error: type[Error] = ArgumentError) -> NDArray[np.float64]:

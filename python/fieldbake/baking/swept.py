@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
 from ..assemblies.assembly import Assembly
-from ..assemblies.geometry import check_rigid, searchable
+from ..assemblies.geometry import check_rigid, core_element, searchable
 from ..base import checks
 from ..base.encodings import Encoding
 from ..base.errors import ArgumentError, ShapeError
@@ -170,7 +170,7 @@ def sweep(
             raise ArgumentError("sign: does not apply to a shape, whose field is signed and complete")
         source, deviation = searchable(shape, MESH_RESOLUTION)
         poses = _poses("motion", motion, (4, 4))
-        bodies = _core.Bodies(1, [(0, source._core, np.eye(4).tolist(), 1.0)])
+        bodies = _core.Bodies(1, [core_element(0, source, np.eye(4))])
         job = _core.Sweep.of_poses(bodies, poses, closed=is_closed, unsigned=is_unsigned)
         # A shape has no surface warnings.
         warnings = () if isinstance(source, Shape) or is_unsigned else tuple(source._core.sign_warnings("auto"))

@@ -156,7 +156,8 @@ class Report(Rows):
             (self.duplicate_faces, "duplicate face"),
         )
         surface.extend(count_text(count, fault) for count, fault in faults if count)
-        rows = [("surface", ", ".join(surface))]
+        # Closed forms have no faces.
+        rows = [("surface", ", ".join(surface))] if self.faces else []
         if self.degenerate_faces or self.dropped_vertices:
             dropped = [
                 count_text(self.degenerate_faces, "degenerate face"),

@@ -76,6 +76,8 @@ class Mesh(Viewable, Sectioned):
     # Report of the extraction from a field.
     _report: SurfaceReport | None = None
     _chord_error: float = 0.0
+    # The shape whose triangles this mesh is, and their largest deviation from it.
+    _source: tuple[Any, float] | None = None
 
     def __init__(
         self,
@@ -321,7 +323,7 @@ class Mesh(Viewable, Sectioned):
         if not len(self.faces):
             return Mesh._extracted, (self.vertices, self.faces, self._report)
         visuals = (self._uv, self._vertex_colors, self._input_face_colors)
-        return restore, (*self._core.state(), *visuals, self._parts, self._part_rows, self._chord_error)
+        return restore, (*self._core.state(), *visuals, self._parts, self._part_rows, self._chord_error, self._source)
 
     def _sections(self, planes: list[NDArray[np.float64]]) -> list[Section]:
         return mesh_sections(self.vertices, self.faces, planes)
@@ -394,6 +396,7 @@ def restore(
     parts: tuple[Part, ...] = (),
     part_rows: tuple[range, ...] = (),
     chord_error: float = 0.0,
+    source: tuple[Any, float] | None = None,
 ) -> Mesh:
     """Restore the mesh that `Mesh.__reduce__` pickled.
 
@@ -413,7 +416,7 @@ def restore(
     )
     mesh._face_colors = mesh._colors_of_faces()
     mesh._parts, mesh._part_rows = parts, part_rows
-    mesh._chord_error = chord_error
+    mesh._chord_error, mesh._source = chord_error, source
     return mesh
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
-from ..assemblies.geometry import RIGID, searchable
+from ..assemblies.geometry import RIGID, core_element, searchable
 from ..base import checks
 from ..base.errors import ArgumentError, SceneError
 from ..base.notices import warn_surface
@@ -52,7 +52,7 @@ class SceneGeometry:
             self.sources.append(converted[id(source)])
             transform = np.asarray(instance.transform)
             scale = _scale(f"instances[{i}].transform", transform)
-            elements.append((0, self.sources[-1]._core, transform.tolist(), scale))
+            elements.append(core_element(0, self.sources[-1], transform, scale))
         self._bodies = _core.Bodies(1, elements)
 
     def query(self, points: Any, sign: str, device: str, progress: Progress) -> Query:
