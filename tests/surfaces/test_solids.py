@@ -93,6 +93,18 @@ def test_a_seal_closes_a_leak():
     assert mesh.volume == pytest.approx(8, rel=0.01)
 
 
+@pytest.mark.parametrize("seal", [10, 40, 75.5, 120])
+def test_a_wide_seal_keeps_the_voxels_and_fills_no_more_than_the_solid(seal):
+    ball = fb.Mesh(*meshes.icosphere(3))
+    plain = fb.solid(ball, 40, fill="outer")
+
+    mesh = fb.solid(ball, 40, fill="outer", seal=seal)
+
+    assert_solid(mesh)
+    assert mesh.report.voxel_size == pytest.approx(plain.report.voxel_size)
+    assert mesh.volume == pytest.approx(plain.volume, rel=1e-3)
+
+
 @pytest.mark.parametrize(("scale", "shift", "moved"), [(1e-3, 0, 0), (3, 0, 2), (1e3, 1e6, 0)])
 def test_scale_and_place_change_no_triangle(scale, shift, moved):
     here = fb.solid(meshes.knot(), 40)

@@ -66,8 +66,8 @@ def solid(
         ``"outer"``: a point is inside if no path on the grid leads from outside to it without crossing a triangle, so
         that everything within the outer surface is filled.
     seal : float, default 0
-        Diameter, voxels, of the largest hole that ``"outer"`` closes. With 0, a hole wider than a voxel connects the
-        inside with the outside.
+        Diameter, voxels, of the largest hole that ``"outer"`` closes. The grid grows by it, and keeps the size of its
+        voxels. With 0, a hole wider than a voxel connects the inside with the outside.
     simplify : float, default 0
         Largest movement of the surface, world units, by which manifold3d may remove faces (extra ``simplify``). The
         distances of the report are measured after it.
@@ -111,10 +111,11 @@ def solid(
     if diameter > 0 and fill == "winding":
         raise MeshError('seal: closes holes with fill="outer" only')
     # The flood needs free voxels between the mesh and the box, in which the seal fits.
-    grid = _grid(source.bounds, resolution, border=2 + diameter / 2 if fill == "outer" else 1.0)
+    grid = _grid(source.bounds, resolution, border=2.0 if fill == "outer" else 1.0)
+    grid = check_count(_enlarged(grid, math.ceil(diameter / 2)))
     nothing = "it encloses no voxel centre. Raise the resolution, or give sheets a thickness by shell(..., side='both')"
     if fill == "outer":
-        nothing += f". If it has openings, close them by a larger seal=, got {seal}, or use fill='winding'"
+        nothing += f". If it has openings, close them by a larger seal=, got {seal} voxels, or use fill='winding'"
     with watched(progress, "solid"):
         if fill == "outer":
             radius = diameter / 2 * max(grid.spacing)
@@ -467,6 +468,14 @@ def _direction(value: Any) -> NDArray[np.float64]:
 def _grid(bounds: NDArray[np.float64], resolution: Resolution, border: float = 1.0) -> Grid:
     """The grid around a surface in a box, with `border` free voxels on each side."""
     return check_count(make_grid(bounds, resolution, margin=0.0, border=border))
+
+
+def _enlarged(grid: Grid, count: int) -> Grid:
+    """The grid with `count` more voxels of the same size on each side."""
+    extra = count * np.array(grid.spacing)
+    lower, upper = (np.array(grid.lower) - extra).tolist(), (np.array(grid.upper) + extra).tolist()
+    x, y, z = (side + 2 * count for side in grid.shape)
+    return Grid(tuple(lower), tuple(upper), (x, y, z)) if count else grid
 
 
 def _number(name: str, value: object, *, least: float | None = None) -> float:
