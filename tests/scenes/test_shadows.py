@@ -89,6 +89,32 @@ def test_a_point_light_with_a_radius() -> None:
     assert set(np.unique(hard.shadow[on_plane])) == {0.0, 1.0}
 
 
+BALL = fb.sphere(1)
+
+
+@pytest.mark.parametrize("shadows", ["soft", "area"])
+@pytest.mark.parametrize("kind", ["shape", "mesh", "volume", "volume on a device"])
+def test_a_light_is_cut_off_by_the_horizon(kind: str, shadows: str, request: pytest.FixtureRequest) -> None:
+    # The visible part of the disc is cut off by the tangent plane, `height` radii below the centre of the light.
+    solid = {"shape": BALL, "mesh": BALL.to_mesh(96)}.get(kind) or fb.bake(BALL, 128)
+    light, radius = np.array((5.0, 0, 0)), 0.5
+    scene = fb.Scene([solid], lights=[fb.PointLight(tuple(light), radius=radius)])
+    camera = fb.Camera((0, 0, 6), (0, 0, 0), fov_deg=24)
+
+    device = request.getfixturevalue("gpu") if kind == "volume on a device" else "cpu"
+    frame = fb.render(scene, camera, size=(160, 120), shadows=shadows, device=device)
+
+    to_light = light - positions(frame, camera)
+    height = (frame.normal * to_light).sum(axis=-1) / radius
+    near = (frame.object_id == 0) & (height > 0) & (height < 1.5)
+    assert near.sum() > 500
+    x = height[near].clip(-1, 1)
+    share = 0.5 + (np.arcsin(x) + x * np.sqrt(1 - x * x)) / np.pi
+    error = frame.shadow[near] - share
+    assert np.abs(error).max() <= (0.01 if shadows == "soft" else 0.07)
+    assert abs(error.mean()) <= 0.01
+
+
 @pytest.mark.parametrize("shadows", ["hard", "soft"])
 def test_a_closed_room_is_dark(shadows: str) -> None:
     # Walls of 2 voxels: 64 voxels over 4.4 units, 0.1375 thick.

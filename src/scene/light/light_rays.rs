@@ -23,6 +23,13 @@ pub struct SurfacePoint {
     pub skips_own: bool,
 }
 
+impl SurfacePoint {
+    /// Whether a ray begins on the visible side of the surface. Light through the own instance may come from behind.
+    pub(crate) fn is_above_horizon(&self, ray: &LightRay) -> bool {
+        self.skips_own || self.normal.dot(ray.direction.as_vec3()) > 0.0
+    }
+}
+
 /// A ray from a surface point: a unit direction and a length.
 #[derive(Debug, Clone, Copy)]
 pub struct LightRay {

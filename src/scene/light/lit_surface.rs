@@ -1,5 +1,6 @@
 //! A visible surface with the light on it: the rays and cones that its light needs, and their evaluation on the CPU.
 
+use super::cone::visible_share;
 use super::light_rays::{LightRay, LightWork, SurfacePoint, basis, disc_point, toward};
 use super::occluder::{NearList, bias};
 use super::occlusion::Occluders;
@@ -179,6 +180,19 @@ impl<'a> LitSurface<'a> {
         }
     }
 
+    /// Limits the visible fraction of a light to the part of its disc above the tangent plane of the surface. A field
+    /// and its surface differ by a fraction of a voxel, so cones do not decide this part. Rays of area lights are
+    /// limited one by one, see [`SurfacePoint::is_above_horizon`].
+    pub(crate) fn above_horizon(&self, share: f32, ray: &LightRay, slope: f32, options: &RenderOptions) -> f32 {
+        if options.shadows != SceneShadows::Soft || slope <= 0.0 {
+            return share;
+        }
+        let cosine = self.cosine(ray);
+        let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
+        // The tangent plane is the edge of an occluder.
+        if cosine >= slope * sine { share } else { share.min(visible_share(cosine / (slope * sine))) }
+    }
+
     /// Evaluates the light on the surface in the fields. `near` has for each light the instances that may block it,
     /// if they are known. Returns the work.
     pub(crate) fn evaluate(
@@ -198,9 +212,10 @@ impl<'a> LitSurface<'a> {
         for (i, light) in lights.lights.iter().enumerate() {
             let (ray, slope, _) = light.seen_from(place.p);
             let near = Casters { near: near.map(|near| &near[i]), ..*casters };
-            found.shares[i] = self
-                .plain_share(&ray, options)
-                .unwrap_or_else(|| self.visible_share(&near, place, &ray, slope, options, &mut work));
+            found.shares[i] = self.plain_share(&ray, options).unwrap_or_else(|| {
+                let share = self.visible_share(&near, place, &ray, slope, options, &mut work);
+                self.above_horizon(share, &ray, slope, options)
+            });
             found.through[i] = [0.0; 3];
             if self.scatters(scene) {
                 let paths = self.paths(&ray, slope, options.shadows);

@@ -31,6 +31,10 @@
 //! So the result changes continuously where an edge comes close to other parts, and where the axis passes the middle of
 //! a rod. Closed walls do not leak light, at any thickness and in any number of parts.
 //!
+//! *Horizon.* A surface sees the part of a light above its tangent plane only. This part limits the fraction, because
+//! fields, triangles and rays that start off the surface decide it with an error of a fraction of a voxel
+//! ([`super::lit_surface::LitSurface::above_horizon`]).
+//!
 //! *Bias.* Only the surface's own instance needs a bias, because its field and its triangles differ by a fraction of a
 //! voxel: the ray starts a number of voxels off the surface. No constant is in world units, so the scale of the scene
 //! has no effect. Other instances touch the surface without a gap.
@@ -288,7 +292,8 @@ impl<'a> Casters<'a> {
         let axes = basis(ray.direction);
         let mut sum = 0.0;
         for i in 0..count {
-            sum += self.ray_share(place, &toward(ray, axes, slope, disc_point(i, count, turn)), work);
+            let ray = toward(ray, axes, slope, disc_point(i, count, turn));
+            sum += if place.is_above_horizon(&ray) { self.ray_share(place, &ray, work) } else { 0.0 };
         }
         sum / count as f32
     }

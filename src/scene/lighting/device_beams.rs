@@ -127,14 +127,6 @@ impl Batch {
         }
         Some(sum / PARTS as f32)
     }
-
-    fn mean(&mut self, count: usize, work: &mut LightWork) -> Option<f32> {
-        let mut sum = 0.0;
-        for _ in 0..count {
-            sum += self.next(work)?;
-        }
-        Some(sum / count as f32)
-    }
 }
 
 /// The device's results for the surfaces of a bunch.
@@ -185,8 +177,16 @@ impl DeviceResults {
             found.shares[i] = match surface.plain_share(&ray, pass.options) {
                 Some(share) => share,
                 None => match pass.options.shadows {
-                    SceneShadows::Area(count) if slope > 0.0 => self.direct.mean(count as usize, &mut work)?,
-                    _ => self.direct.next(&mut work)?,
+                    SceneShadows::Area(_) if slope > 0.0 => {
+                        let paths = surface.paths(&ray, slope, pass.options.shadows);
+                        let mut sum = 0.0;
+                        for (path, _) in &paths {
+                            let share = self.direct.next(&mut work)?;
+                            sum += if surface.place.is_above_horizon(path) { share } else { 0.0 };
+                        }
+                        sum / paths.len() as f32
+                    }
+                    _ => surface.above_horizon(self.direct.next(&mut work)?, &ray, slope, pass.options),
                 },
             };
             let mut sum = Vec3::ZERO;

@@ -208,7 +208,7 @@ fn take_pixel(
         let parts = if pass.options.shadows == SceneShadows::Soft && slope > 0.0 { PARTS } else { 1 };
         *share = match surface.plain_share(&ray, pass.options) {
             Some(share) => share,
-            None => value(beam_result?, parts)?,
+            None => surface.above_horizon(value(beam_result?, parts)?, &ray, slope, pass.options),
         };
     }
     Some(work)
