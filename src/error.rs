@@ -112,7 +112,7 @@ pub enum ShapeError {
     #[error("line {line}, column {column}: {problem}")]
     Syntax { line: usize, column: usize, problem: String },
     #[error(
-        "the shape has no bounds because of a {leaf}; intersect it with something finite, or give bounds= where they are taken"
+        "the shape has no bounds because of a {leaf}; intersect it with something finite, or give bounds= to a function that has them"
     )]
     Unbounded { leaf: &'static str },
 }

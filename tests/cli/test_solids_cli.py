@@ -103,7 +103,7 @@ def test_a_sweep_is_written_as_a_mesh_or_a_field(files):
 
     made = run("sweep", files / "a.ply", files / "poses.npy", "-o", files / "swept.stl", "-r", "40")
     assert made.exit_code == 0, made.output
-    assert "1 steps" in made.output
+    assert "1 step," in made.output
     swept = fb.load_mesh(files / "swept.stl")
     assert swept.is_closed
     assert 12.0 < swept.volume < 20.0

@@ -264,3 +264,15 @@ def test_solids_of_clouds_are_closed():
     distance = fb.closest_point(mesh, fb.sample_surface(made, 5_000).points).distances
     assert distance.mean() <= 0.25 * cloud.spacing
     assert np.quantile(distance, 0.99) <= cloud.spacing
+
+
+@pytest.mark.parametrize("resolution", [64, 80, 128])
+def test_noise_makes_no_voids(resolution):
+    random = np.random.default_rng(5)
+    samples = fb.sample_surface(fb.ellipsoid((30, 20, 12)).to_mesh(128), 8_000, seed=1)
+    cloud = fb.PointCloud(samples.points + random.normal(size=(8_000, 3)) * 0.15, samples.normals)
+
+    made = fb.solid(cloud, resolution)
+
+    assert made.report.bodies == 1
+    assert made.volume == pytest.approx(4 / 3 * np.pi * 30 * 20 * 12, rel=5e-3)

@@ -66,6 +66,8 @@ def test_other_columns_are_not_normals(tmp_path):
     colors = np.random.default_rng(0).integers(0, 256, (300, 3))
     np.savetxt(tmp_path / "colors.xyz", np.hstack([SAMPLES.points, colors]))
     assert fb.load_points(tmp_path / "colors.xyz").normals is None
+    np.savetxt(tmp_path / "both.xyz", np.hstack([SAMPLES.points, colors, SAMPLES.normals]))
+    assert np.abs(fb.load_points(tmp_path / "both.xyz").normals - SAMPLES.normals).max() <= 1e-12
     np.savetxt(tmp_path / "plain.xyz", SAMPLES.points)
     assert fb.load_points(tmp_path / "plain.xyz").report.normals == "none"
 

@@ -20,7 +20,7 @@ from ..base.errors import ArgumentError, ShapeError
 from ..base.grid import Grid, Resolution, check_count, make_grid
 from ..base.notices import warn_surface
 from ..base.progress import Progress, progress_callback
-from ..base.report import MIXED_SIGN_REASON, Report, bytes_text, seconds_text
+from ..base.report import MIXED_SIGN_REASON, Report, bytes_text, count_text, seconds_text
 from ..meshes.convert import MeshLike
 from ..shapes.shape import MESH_RESOLUTION, Shape, all_shapes, combine
 from ..volumes.sparse import SparseVolume, sparse_options
@@ -57,7 +57,7 @@ class SweepReport(Report):
         """List the label and the text of each line of the report."""
         seconds = ", ".join(f"{stage} {seconds_text(value)}" for stage, value in self.seconds.items())
         return [
-            ("motion", f"{self.segments:,} steps, {self.evaluations:.1f} distances a sample"),
+            ("motion", f"{count_text(self.segments, 'step')}, {self.evaluations:.1f} distances a sample"),
             ("voxel", f"{self.voxel_size:.4g}, offset {self.offset:.4g}"),
             ("time", f"{seconds} on {self.device}"),
             ("memory", f"{bytes_text(self.peak_bytes)} at most"),

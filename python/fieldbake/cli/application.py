@@ -66,7 +66,10 @@ COMMANDS = {
         "Draw scenes: glTF or any mesh files with their textures, cameras and lights, or baked fields.",
     ),
     "view": ("view", "Write a live view of each file as one HTML page, and open it."),
-    "csg": ("pictures", "Draw, bake or mesh a shape from its s-expression. The z axis points upwards in pictures."),
+    "csg": (
+        "pictures",
+        "Draw, bake or mesh a shape from a file with its s-expression. The z axis points upwards in pictures.",
+    ),
     "merge": ("commands", "Merge all instances of a scene into one field whose samples never exceed the distance."),
     "mesh": ("solids", "Write the surface of a field, a shape or a mesh as a closed mesh."),
     "solid": ("solids", "Write a closed two-manifold mesh made from any triangles."),

@@ -139,7 +139,7 @@ def csg(
     parts: Annotated[bool, typer.Option("--parts", help="List the parts of the decomposition.")] = False,
     device: Device = "auto",
 ) -> None:
-    """Draw, bake or mesh a shape from its s-expression. The z axis points upwards in pictures."""
+    """Draw, bake or mesh a shape from a file with its s-expression. The z axis points upwards in pictures."""
     suffix = output.suffix.lower()
     if suffix in (*ENDINGS["volume"], *MESHES):
         check_output(output, (suffix,))

@@ -22,7 +22,9 @@ Array = NDArray[np.float64]
 SPLAT = ("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")
 #: A splat is round if its smallest scale exceeds this share of the middle one.
 ROUND = 0.5
-#: Columns 4 to 6 of a table are normals if their lengths differ from 1 by at most this.
+#: Columns of a table that may be normals: after the position, or after the position and a colour.
+NORMAL_COLUMNS = (slice(3, 6), slice(6, 9))
+#: They are normals if their lengths differ from 1 by at most this.
 UNIT_TOLERANCE = 0.01
 
 
@@ -33,9 +35,9 @@ def load_points(path: str | os.PathLike[str], *, opacity: float = 0.5) -> PointC
     ----------
     path : str or path
         ``.ply``: points with ``nx ny nz`` if it has them, or splats in the layout of the original project.
-        ``.xyz``, ``.npy``: rows of x, y, z. Columns 4 to 6 are normals if they are unit vectors; other columns are
-        ignored. ``.npz``: ``points`` and, if present, ``normals`` and ``areas``. ``.las``, ``.laz``: points (extra
-        ``points``).
+        ``.xyz``, ``.npy``: rows of x, y, z. Columns 4 to 6, or else 7 to 9, are normals if they are unit vectors; other
+        columns are ignored. ``.npz``: ``points`` and, if present, ``normals`` and ``areas``. ``.las``, ``.laz``: points
+        (extra ``points``).
     opacity : float, default 0.5
         Splats with a lower opacity, from 0 to 1, are dropped.
 
@@ -172,10 +174,11 @@ def _from_table(table: NDArray[Any]) -> dict[str, Any]:
     if table.ndim != 2 or table.shape[1] < 3:
         raise ValueError(f"must hold rows of three numbers, got an array of shape {table.shape}")
     columns = {"points": table[:, :3]}
-    if table.shape[1] >= 6:
-        normals = np.asarray(table[:, 3:6], np.float64)
-        if (np.abs(np.linalg.norm(normals, axis=1) - 1) <= UNIT_TOLERANCE).all():
-            columns["normals"] = normals
+    for place in NORMAL_COLUMNS:
+        normals = np.asarray(table[:, place], np.float64)
+        is_unit = np.abs(np.linalg.norm(normals, axis=1) - 1) <= UNIT_TOLERANCE
+        if normals.shape[1] == 3 and is_unit.all():
+            return {**columns, "normals": normals}
     return columns
 
 

@@ -138,7 +138,10 @@ def solid(
 
 
 def _solid_of_cloud(cloud: PointCloud, resolution: Resolution, tolerance: float, progress: Progress) -> Mesh:
-    """The solid that the points of a cloud enclose. Crossings are interpolated between signed distances."""
+    """The solid that the points of a cloud enclose. Crossings are interpolated between signed distances.
+
+    Closed surfaces below the volume of a voxel are dropped.
+    """
     require_sides(cloud)
     grid, field = _grid(cloud.bounds, resolution), CloudField(cloud)
     nothing = "mesh: the cloud encloses no voxel centre. Raise the resolution, or check its normals"
@@ -406,9 +409,11 @@ def _extracted(
     with part(0.6, 0.9):
         # Without a source the planes would come from the samples, which points and noise make uneven.
         made = extract(surface, level, source, sharp=source is not None, capped=True)
+    clamped = made.report.clamped_vertices if made.report else 0
     if not len(made.faces):
         raise MeshError(nothing)
-    clamped = made.report.clamped_vertices if made.report else 0
+    if source is None:
+        made = _without_specks(made, float(np.prod(grid.spacing)))
     if tolerance > 0:
         made = simplified(made, tolerance)
     made._report = report = SolidReport(clamped, max(grid.spacing), made, to_source, from_source)
@@ -426,6 +431,27 @@ def _extracted(
             )
     warn_surface(warnings)
     return made
+
+
+def _without_specks(mesh: Mesh, least: float) -> Mesh:
+    """Return the mesh without closed surfaces of a volume below `least`, which wrong signs beside noisy points make.
+
+    If it has no others, it is returned as it is.
+    """
+    faces = mesh.faces.astype(np.int64)
+    # Each vertex takes the smallest row of its component: of its faces, then of the vertex with that row.
+    rows, last = np.arange(len(mesh.vertices)), None
+    while last is None or not np.array_equal(rows, last):
+        last = rows.copy()
+        np.minimum.at(rows, faces.ravel(), np.repeat(rows[faces].min(axis=1), 3))
+        rows = rows[rows]
+    a, b, c = np.moveaxis(mesh.vertices[faces] - mesh.bounds.mean(axis=0), 1, 0)
+    volumes = np.bincount(rows[faces[:, 0]], np.einsum("ij,ij->i", a, np.cross(b, c)) / 6, len(rows))
+    kept = np.abs(volumes)[rows[faces[:, 0]]] >= least
+    if kept.all() or not kept.any():
+        return mesh
+    used, indices = np.unique(faces[kept], return_inverse=True)
+    return Mesh(mesh.vertices[used], indices.reshape(-1, 3))
 
 
 def _without_open_faces(mesh: Mesh, directions: ArrayLike | str | Sequence[str]) -> Mesh:
