@@ -81,10 +81,6 @@ struct Loose<'a> {
     place: DVec3,
 }
 
-/// An edge of the grid (the sample where it starts, and its axis), a quadrilateral, and the number of their
-/// intersections.
-type Meeting = (([i32; 3], usize), u32, u32);
-
 impl LevelSurface {
     /// The mesh over `crossings`, one entry per crossed edge as [`LevelSurface::crossings`] returns them, and over the
     /// planes that probes have found.
@@ -254,26 +250,6 @@ impl LevelSurface {
         }
     }
 
-    /// Moves vertices until every sample has its side and no two vertices are equal in single precision, except as
-    /// [`Self::separate`] states. Returns the quadrilaterals.
-    pub(super) fn settle(&self, vertices: &mut Vertices, crossings: &[Crossing], extra: &ExtraPlanes) -> Vec<Quad> {
-        let mut quads = self.quads(&vertices.places);
-        let mut is_back = vec![false; vertices.places.len()];
-        // Without planes of a source no vertex lies outside its cell.
-        let mut keep_sides = |vertices: &mut Vertices, quads: &mut [Quad]| {
-            !extra.is_empty() && self.keep_sides(vertices, quads, &mut is_back, crossings, extra)
-        };
-        keep_sides(vertices, &mut quads);
-        // A vertex that has moved back into its cell stays there. Each moves back once at most, so the loop ends.
-        loop {
-            let moved = self.separate(&mut vertices.places);
-            self.update_quads(&moved, &vertices.places, &mut quads);
-            if moved.is_empty() || !keep_sides(vertices, &mut quads) {
-                return quads;
-            }
-        }
-    }
-
     /// Moves clamped vertices to their best place up to a voxel outside their region, one after the other, if that
     /// folds no quadrilateral; they are then no longer clamped. A ridge or a corner may pass between the edges of the
     /// grid through a cell that has a patch of its own.
@@ -347,80 +323,6 @@ impl LevelSurface {
             let (owner, axis) = self.cells.of_edge(edge);
             self.quad(owner, axis, vertices).folds
         })
-    }
-
-    /// Moves vertices back into their cells until every sample has its side, and updates the quadrilaterals. The
-    /// vertices are then clamped, and their entries in `is_back` are set. Each moves once at most, so the loop ends
-    /// even where a cell is a few roundings wide. Returns whether a vertex has moved.
-    fn keep_sides(
-        &self,
-        vertices: &mut Vertices,
-        quads: &mut [Quad],
-        is_back: &mut [bool],
-        crossings: &[Crossing],
-        extra: &ExtraPlanes,
-    ) -> bool {
-        let Vertices { places: vertices, is_clamped } = vertices;
-        let edges = (0..quads.len() as u32).into_par_iter();
-        let mut met: Vec<Meeting> = edges.flat_map_iter(|edge| self.met_edges(edge, quads, vertices)).collect();
-        met.par_sort_unstable();
-        let mut has_moved = false;
-        loop {
-            let mut moved = Vec::new();
-            for id in self.misplaced(&met, quads).into_iter().flat_map(|edge| self.links.patches_around(edge)) {
-                let cell = self.cells.of_patch(id);
-                let corner = self.world(cell.index, DVec3::ZERO);
-                let place = vertices[id as usize] - corner;
-                let is_inside = place.cmpge(DVec3::ZERO).all() && place.cmple(self.spacing).all();
-                if is_inside || std::mem::replace(&mut is_back[id as usize], true) {
-                    continue;
-                }
-                let [lower, upper] = self.region(cell, 0);
-                let place = self.planes(cell, id, crossings, extra.of(id)).minimum(lower, upper).point;
-                vertices[id as usize] = self.apart_from_first(cell, id, self.in_box(corner + place));
-                is_clamped[id as usize] = true;
-                moved.push(id);
-            }
-            if moved.is_empty() {
-                return has_moved;
-            }
-            has_moved = true;
-            let mut changed = self.update_quads(&moved, vertices, quads);
-            changed.sort_unstable();
-            changed.dedup();
-            met.retain(|&(_, quad, _)| changed.binary_search(&quad).is_err());
-            met.extend(changed.iter().flat_map(|&edge| self.met_edges(edge, quads, vertices)));
-            // A stable sort takes linear time for few new entries.
-            met.sort();
-        }
-    }
-
-    /// The edges of the grid that the quadrilateral around a crossed edge intersects, and the crossed edge itself.
-    /// Empty if the quadrilateral intersects its own edge alone.
-    fn met_edges(&self, edge: u32, quads: &[Quad], vertices: &[DVec3]) -> Vec<Meeting> {
-        let quad = &quads[edge as usize];
-        if quad.is_around {
-            return Vec::new();
-        }
-        let (cell, axis) = self.cells.of_edge(edge);
-        let places = corners(&self.links, edge, quad).map(|i| (vertices[i as usize] - self.lower) / self.spacing - 0.5);
-        let met = quad.met_edges(places).into_iter().map(|met| (met, edge, 1));
-        met.chain([((cell.index, axis), edge, 0)]).collect()
-    }
-
-    /// The quadrilaterals that meet an edge of the grid where they may put its ends on the wrong sides. `met` has the
-    /// edges that quadrilaterals meet, sorted.
-    fn misplaced(&self, met: &[Meeting], quads: &[Quad]) -> Vec<u32> {
-        met.chunk_by(|a, b| a.0 == b.0)
-            .filter(|met| {
-                let (index, axis) = met[0].0;
-                let crossed = self.cells.find(index).filter(|cell| cell.owns(axis)).map(|cell| cell.edge(axis));
-                let own = crossed.is_some_and(|number| quads[number as usize].is_around);
-                let meets = met.iter().map(|&(_, _, meets)| meets).sum::<u32>() + u32::from(own);
-                (meets % 2 == 1) != crossed.is_some()
-            })
-            .flat_map(|met| met.iter().map(|&(_, number, _)| number))
-            .collect()
     }
 
     /// Computes the quadrilaterals at the vertices of some patches again. Returns their crossed edges.
@@ -550,7 +452,7 @@ impl LevelSurface {
     }
 
     /// The quadrilaterals around all crossed edges, in their order.
-    fn quads(&self, vertices: &[DVec3]) -> Vec<Quad> {
+    pub(super) fn quads(&self, vertices: &[DVec3]) -> Vec<Quad> {
         self.cells.for_edges(Quad::default(), |cells, quads| {
             for ((cell, axis), quad) in edges_from(cells).zip(quads) {
                 *quad = self.quad(cell, axis, vertices);

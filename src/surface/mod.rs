@@ -45,6 +45,7 @@ pub(crate) mod qef;
 mod quad;
 mod refine;
 mod separate;
+mod settle;
 mod untangle;
 
 pub use blocks::SurfaceBlocks;

@@ -3,7 +3,7 @@
 //! The samples at the ends of an edge of the grid lie on different sides of the mesh if the mesh meets the edge an odd
 //! number of times, so every sample has its side if that holds for the crossed edges alone. A quadrilateral whose
 //! corners lie in the four cells around its edge meets this edge once and no other. One with a corner outside these
-//! cells may meet any edge near it; [`Quad::met_edges`] lists them.
+//! cells may intersect any edge near it; [`Quad::intersected_edges`] lists them.
 
 use super::MARGIN;
 use glam::{DVec2, DVec3};
@@ -61,7 +61,7 @@ impl Quad {
 
     /// The edges of the grid that the triangles meet: the index of the sample where each starts, and its axis. `places`
     /// has the positions of the corners in units of voxels, samples at whole numbers.
-    pub(super) fn met_edges(&self, places: [DVec3; 4]) -> Vec<([i32; 3], usize)> {
+    pub(super) fn intersected_edges(&self, places: [DVec3; 4]) -> Vec<([i32; 3], usize)> {
         let mut edges = Vec::new();
         for corners in self.indices().map(|triangle| triangle.map(|i| places[i])) {
             let lower = corners[0].min(corners[1]).min(corners[2]).ceil().as_ivec3();
@@ -102,7 +102,7 @@ mod tests {
         let places = [[-0.5, -0.4, 0.2], [0.3, -0.6, 0.9], [0.7, 0.5, 0.1], [-0.2, 0.6, 0.4]];
         let quad = quad(places);
         assert!(quad.is_around && !quad.folds);
-        assert_eq!(quad.met_edges(places.map(DVec3::from_array)), [([0, 0, 0], 2)]);
+        assert_eq!(quad.intersected_edges(places.map(DVec3::from_array)), [([0, 0, 0], 2)]);
     }
 
     #[test]
@@ -119,7 +119,7 @@ mod tests {
         let places = [[-0.1, -0.2, 1.9], [0.9, -0.9, 0.9], [0.9, 0.9, 0.9], [-0.9, 0.9, 0.9]];
         let quad = quad(places);
         assert!(!quad.is_around);
-        let met = quad.met_edges(places.map(DVec3::from_array));
-        assert!(met.contains(&([0, 0, 1], 2)) && !met.contains(&([0, 0, 0], 2)));
+        let edges = quad.intersected_edges(places.map(DVec3::from_array));
+        assert!(edges.contains(&([0, 0, 1], 2)) && !edges.contains(&([0, 0, 0], 2)));
     }
 }

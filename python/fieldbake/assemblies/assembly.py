@@ -18,7 +18,8 @@ from ..base.notices import warn_surface
 from ..base.progress import Progress, progress_callback
 from ..base.report import MIXED_SIGN_REASON, Report
 from ..meshes.mesh import Mesh
-from ..shapes.shape import MESH_RESOLUTION, Shape
+from ..shapes.field import MESH_RESOLUTION
+from ..shapes.shape import Shape
 from .clearances import of_pairs, with_environment
 from .geometry import BodyLike, check_rigid, core_element, elements_of
 from .joint import Joint

@@ -16,7 +16,8 @@ from ..base.notices import warn_surface
 from ..base.progress import Progress, progress_callback
 from ..base.report import MIXED_SIGN_REASON, Report
 from ..meshes.mesh import Mesh
-from ..shapes.shape import MESH_RESOLUTION, Shape
+from ..shapes.field import MESH_RESOLUTION
+from ..shapes.shape import Shape
 from .geometry import BodyLike, core_element, elements_of, rigid
 from .results import Clearance
 

@@ -22,7 +22,8 @@ from ..base.notices import warn_surface
 from ..base.progress import Progress, progress_callback
 from ..base.report import MIXED_SIGN_REASON, Report, bytes_text, count_text, seconds_text
 from ..meshes.convert import MeshLike
-from ..shapes.shape import MESH_RESOLUTION, Shape, all_shapes, combine
+from ..shapes.field import MESH_RESOLUTION
+from ..shapes.shape import Shape, all_shapes, combine
 from ..volumes.sparse import SparseVolume, sparse_options
 
 #: Voxels along the longest side, unless the caller chooses.

@@ -18,7 +18,8 @@ from ..base.progress import Progress, progress_callback
 from ..base.report import MIXED_SIGN_REASON, Report
 from ..meshes.mesh import Mesh
 from ..queries.nearest import Query
-from ..shapes.shape import MESH_RESOLUTION, Shape
+from ..shapes.field import MESH_RESOLUTION
+from ..shapes.shape import Shape
 from .instance import Instance
 
 
