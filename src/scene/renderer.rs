@@ -273,6 +273,9 @@ fn draw(
         let share = 1.0 / (sides * sides) as f32;
         frame.color = sum.into_iter().map(|color| color * share).collect();
     }
+    if options.background[3] < 1.0 {
+        compose::divide_by_opacity(&mut frame.color, options);
+    }
     let primary_on = match device {
         None => [false, true],
         Some(device) => [true, device_raster::left_over(scene, device, options).is_some()],

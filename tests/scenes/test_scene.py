@@ -168,6 +168,47 @@ def test_opacity_takes_its_share_of_light_and_sight() -> None:
     assert frame.color[48, 48, 0] > frame.color[48, 48, 1]
 
 
+def sheet(z: float, opacity: float, color: tuple[float, float, float] = (0, 0, 0)) -> fb.Instance:
+    corners = [(-1, -1, z), (1, -1, z), (1, 1, z), (-1, 1, z)]
+    material = fb.Material(color=(*color, opacity), specular=0)
+    return fb.Instance(fb.Mesh(corners, [(0, 1, 2), (0, 2, 3)]), material=material)
+
+
+@pytest.mark.parametrize("behind", ["background", "a mesh", "a shape"])
+@pytest.mark.parametrize("count", [1, 16, 17, 60, 200])
+def test_all_translucent_layers_count(count: int, behind: str) -> None:
+    opaque = {"a mesh": sheet(-2, 1, (1, 1, 1)), "a shape": fb.box((3, 3, 1)).translate((0, 0, -2))}.get(behind)
+    sheets = [sheet(0.001 * i, 0.03) for i in range(count)]
+    camera = fb.Camera((0, 0, 5), (0, 0, 0))
+
+    def draw(*instances):
+        scene = fb.Scene([*instances, *([opaque] if opaque else [])], lights=[], ambient=1.0, background=(1, 1, 1))
+        return fb.render(scene, camera, size=(9, 9), device="cpu").color[4, 4, :3]
+
+    bare = draw() if opaque else np.ones(3)
+    assert draw(*sheets) == pytest.approx(0.97**count * bare, abs=2e-4)
+
+
+@pytest.mark.parametrize("background", [(0, 0, 0, 0), (1, 1, 1, 0), (0, 0, 1, 0.5)])
+@pytest.mark.parametrize("opacity", [1.0, 0.5])
+def test_colours_before_a_transparent_background_are_not_mixed_with_it(
+    background: tuple[float, ...], opacity: float
+) -> None:
+    material = fb.Material(color=(1, 0, 0), unlit=True)
+    scene = fb.Scene([fb.Instance(fb.sphere(), material=material, opacity=opacity)], background=background)
+
+    frame = fb.render(scene, size=(48, 48), samples=16, device="cpu")
+
+    color, alpha = frame.color[..., :3], frame.color[..., 3]
+    assert color[0, 0] == pytest.approx(background[:3])
+    assert alpha[24, 24] == pytest.approx(opacity + (1 - opacity) * background[3])
+    assert ((alpha > 0.02) & (alpha < 0.48)).any() == (background[3] == 0)
+    # Red over the background by the rule of Porter and Duff, at every share of coverage.
+    covered = (alpha - background[3]) / (1 - background[3])
+    expected = covered[..., None] * (1, 0, 0) + (1 - covered[..., None]) * background[3] * np.array(background[:3])
+    assert np.abs(color * alpha[..., None] - expected).max() <= 1e-5
+
+
 def test_flags() -> None:
     ball = fb.Mesh(*meshes.icosphere(3))
 

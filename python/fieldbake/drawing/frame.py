@@ -40,7 +40,7 @@ class Frame:
     Attributes
     ----------
     color : (h, w, 4) float32
-        Linear RGB and opacity.
+        Linear RGB and opacity. The colour is not multiplied by the opacity.
     depth : (h, w) float32
         Distance along the viewing axis, world units; inf for pixels without a hit.
     normal : (h, w, 3) float32

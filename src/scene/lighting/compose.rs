@@ -22,12 +22,13 @@ use crate::error::Error;
 use crate::memory::zeroed_rows;
 use crate::picture::Frame;
 use crate::scene::content::model::Scene;
+use crate::scene::content::options::RenderOptions;
 use crate::scene::light::lit_surface::{Lights, LitSurface};
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 
-/// Shades the layers with the light on them, and composes them over the background. Returns the picture, and the number
-/// of rays and cones of the light in each pixel.
+/// Shades the layers with the light on them, and composes them over the background. Returns the picture, whose colours
+/// are multiplied by their opacity, and the number of rays and cones of the light in each pixel.
 pub(crate) fn compose(
     pass: &Pass<'_>,
     direct: &LightBuffer,
@@ -71,14 +72,24 @@ pub(crate) fn compose(
                 }
                 next += 1;
             }
-            let behind = Vec4::from_array(options.background);
-            let rgb = (color.truncate() + passes * behind.truncate()) * options.exposure;
-            let pixel = [rgb.x, rgb.y, rgb.z, color.w + passes * behind.w];
-            row.color[4 * x..][..4].copy_from_slice(&pixel);
+            let background = Vec4::from_array(options.background);
+            color += passes * background.w * background.truncate().extend(1.0);
+            let rgb = color.truncate() * options.exposure;
+            row.color[4 * x..][..4].copy_from_slice(&rgb.extend(color.w).to_array());
         }
         progress.advance(1)
     })?;
     Ok((frame, rays))
+}
+
+/// Divides the colours of pixels by their opacity. Transparent pixels have the colour of the background.
+pub(crate) fn divide_by_opacity(colors: &mut [f32], options: &RenderOptions) {
+    let background = Vec4::from_array(options.background).truncate() * options.exposure;
+    for pixel in colors.as_chunks_mut::<4>().0 {
+        let [r, g, b, opacity] = *pixel;
+        let rgb = if opacity > 0.0 { Vec3::new(r, g, b) / opacity } else { background };
+        *pixel = rgb.extend(opacity).to_array();
+    }
 }
 
 impl LitSurface<'_> {

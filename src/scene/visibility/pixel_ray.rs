@@ -13,8 +13,10 @@ use crate::scene::content::triangles::Triangles;
 use crate::scene::fields::field::{FieldHit, FieldRay};
 use glam::{DVec3, Vec3, Vec4};
 
-/// Largest number of surfaces of one pixel. Behind so many translucent ones the last counts as opaque.
-pub(crate) const MAX_LAYERS: usize = 16;
+/// Largest number of translucent surfaces of one pixel. Between these and an opaque surface others are left out.
+const MAX_LAYERS: usize = 256;
+/// Surfaces behind translucent ones that pass less than this fraction are left out.
+const LEAST_PASSES: f32 = 1e-4;
 
 /// Relative tolerance between the depth found by a device and the depth of the same surface on the ray of the pixel.
 /// Devices compute in float32, in units of the object; a hit slightly in front is the same surface.
@@ -60,11 +62,13 @@ impl PixelRay<'_> {
         let direction = self.view.direction(self.x, self.y);
         let first = layers.len();
         let limit = behind.map_or(f64::INFINITY, |layer| layer.depth);
-        let mut from = 0.0;
-        while let Some(layer) = self.next_surface(direction, from, limit, &layers[first..]) {
-            let is_last = layers.len() - first + 1 == MAX_LAYERS;
+        let (mut from, mut passes) = (0.0, 1.0);
+        while layers.len() - first < MAX_LAYERS
+            && let Some(layer) = self.next_surface(direction, from, limit, &layers[first..])
+        {
             layers.push(layer);
-            if layer.color.w >= 1.0 || is_last {
+            passes *= 1.0 - layer.color.w;
+            if passes < LEAST_PASSES {
                 return;
             }
             from = layer.depth;
