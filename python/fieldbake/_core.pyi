@@ -55,6 +55,7 @@ __all__ = [
     "count_intersections",
     "decode",
     "devices",
+    "divide_obj_polygons",
     "encode",
     "encoding_scale",
     "exr_read",
@@ -1225,6 +1226,9 @@ def shader_library(library: str, head: str, language: str) -> str:
     """The functions of "volume", "sparse", "nested" or "quadrics" in a language; ``head`` is WGSL with a comment and
     the constants that they read.
     """
+
+def divide_obj_polygons(content: bytes) -> bytes | None:
+    """A Wavefront OBJ file with its polygons divided where a fan would leave their outline; None without such ones."""
 
 def read_obj(content: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
     """The vertices and faces of a Wavefront OBJ file; None if it has materials, texture coordinates or damage."""

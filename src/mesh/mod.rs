@@ -18,6 +18,7 @@
 pub(crate) mod derived;
 pub(crate) mod disjoint_sets;
 mod half_edges;
+mod polygon;
 #[cfg(test)]
 pub(crate) mod random;
 mod stl;

@@ -1,11 +1,13 @@
 //! Reads the triangles of Wavefront OBJ files that have no materials, texture coordinates or colours.
 //!
-//! Positions keep their order and float64. A polygon becomes a fan of triangles from its first corner. An index counts
+//! Positions keep their order and float64. Polygons are divided into triangles ([`super::polygon`]). An index counts
 //! from 1, a negative one from the last vertex before the face. Source: *Object Files (.obj)*, Wavefront, 1993.
 
+use super::polygon::triangulate;
 use crate::error::Error;
 use crate::memory::space_for;
 use crate::progress::Progress;
+use glam::DVec3;
 
 /// Positions, and faces as triples of indices.
 pub(crate) struct Triangles {
@@ -26,17 +28,85 @@ pub(crate) fn read(content: &[u8], progress: &Progress) -> Result<Option<Triangl
         return Ok(None);
     };
     let mut found = Triangles { vertices: space_for("vertices", vertices)?, faces: space_for("faces", faces)? };
+    // The first face and the number of faces of each polygon with more than three corners.
+    let mut polygons: Vec<[usize; 2]> = Vec::new();
     for (number, line) in lines(content).enumerate() {
         if number % LINES == 0 {
             progress.check()?;
         }
+        let before = found.faces.len();
         if add(line, &mut found).is_none() {
             return Ok(None);
+        }
+        if found.faces.len() > before + 1 {
+            polygons.push([before, found.faces.len() - before]);
         }
     }
     let vertices = found.vertices.len() as i64;
     let is_complete = found.faces.iter().flatten().all(|corner| (0..vertices).contains(corner));
+    if is_complete {
+        for [first, count] in polygons {
+            divide(&mut found.faces[first..][..count], &found.vertices);
+        }
+    }
     Ok((is_complete && !found.faces.is_empty()).then_some(found))
+}
+
+/// Divides the polygon of a fan again, within its outline.
+fn divide(fan: &mut [[i64; 3]], vertices: &[[f64; 3]]) {
+    let rows: Vec<i64> = fan[0][..2].iter().copied().chain(fan.iter().map(|face| face[2])).collect();
+    let corners: Vec<DVec3> = rows.iter().map(|&row| DVec3::from_array(vertices[row as usize])).collect();
+    for (face, triangle) in fan.iter_mut().zip(triangulate(&corners)) {
+        *face = triangle.map(|corner| rows[corner]);
+    }
+}
+
+/// The file with its polygons divided into triangles where a fan would leave their outline; none if there is no such
+/// polygon, or a damaged statement. Only lines of positions and of faces are read.
+pub(crate) fn with_divided_polygons(content: &[u8], progress: &Progress) -> Result<Option<Vec<u8>>, Error> {
+    let mut vertices: Vec<DVec3> = Vec::new();
+    // The place of each polygon in the file, and the number of vertices before it.
+    let mut polygons: Vec<(usize, &[u8], usize)> = Vec::new();
+    let mut start = 0;
+    for (number, line) in lines(content).enumerate() {
+        if number % LINES == 0 {
+            progress.check()?;
+        }
+        let mut parts = words(line);
+        match parts.next() {
+            Some(b"v") => {
+                let mut number = || std::str::from_utf8(parts.next()?).ok()?.parse::<f64>().ok();
+                let (Some(x), Some(y), Some(z)) = (number(), number(), number()) else { return Ok(None) };
+                vertices.push(DVec3::new(x, y, z));
+            }
+            Some(b"f") if line.contains(&b'\\') => return Ok(None),
+            Some(b"f") if parts.count() > 3 => polygons.push((start, line, vertices.len())),
+            _ => {}
+        }
+        start += line.len() + 1;
+    }
+    let (mut divided, mut end) = (Vec::new(), 0);
+    for (start, line, before) in polygons {
+        let corners: Vec<&[u8]> = words(line).skip(1).collect();
+        let place = |corner: &&[u8]| vertices.get(usize::try_from(index(corner, before)?).ok()?).copied();
+        let Some(places) = corners.iter().map(place).collect::<Option<Vec<DVec3>>>() else { return Ok(None) };
+        let triangles = triangulate(&places);
+        if triangles.iter().all(|triangle| triangle[0] == 0) {
+            continue;
+        }
+        divided.extend_from_slice(&content[end..start]);
+        for [a, b, c] in triangles {
+            divided.extend_from_slice(b"f ");
+            divided.extend_from_slice(&[corners[a], corners[b], corners[c]].join(&b' '));
+            divided.push(b'\n');
+        }
+        end = start + line.len();
+    }
+    if end == 0 {
+        return Ok(None);
+    }
+    divided.extend_from_slice(&content[end..]);
+    Ok(Some(divided))
 }
 
 fn lines(content: &[u8]) -> impl Iterator<Item = &[u8]> {

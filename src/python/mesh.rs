@@ -12,7 +12,7 @@ use crate::solid::{count_self_intersections, deviation};
 use numpy::ndarray::ArrayView2;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyBytes, PyDict};
 use std::sync::{Arc, Mutex, TryLockError};
 use std::time::Duration;
 
@@ -219,6 +219,13 @@ impl Mesh {
 pub(super) fn read_obj<'py>(py: Python<'py>, content: &[u8]) -> PyResult<Option<Triangles<'py>>> {
     let found = run(py, None, |progress| mesh::wavefront::read(content, progress))?;
     found.map(|found| Ok((owned_rows(py, found.vertices)?, owned_rows(py, found.faces)?))).transpose()
+}
+
+/// A Wavefront OBJ file with its polygons divided where a fan would leave their outline; None without such polygons.
+#[pyfunction]
+pub(super) fn divide_obj_polygons<'py>(py: Python<'py>, content: &[u8]) -> PyResult<Option<Bound<'py, PyBytes>>> {
+    let divided = run(py, None, |progress| mesh::wavefront::with_divided_polygons(content, progress))?;
+    Ok(divided.map(|content| PyBytes::new(py, &content)))
 }
 
 type Triangles<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<i64>>);

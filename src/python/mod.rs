@@ -53,7 +53,7 @@ mod _core {
     #[pymodule_export]
     use super::merge::merge;
     #[pymodule_export]
-    use super::mesh::{Mesh, read_obj};
+    use super::mesh::{Mesh, divide_obj_polygons, read_obj};
     #[pymodule_export]
     use super::openexr::exr_read;
     #[pymodule_export]

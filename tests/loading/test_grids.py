@@ -229,6 +229,21 @@ def test_a_nvdb_file_is_a_tree_of_32_byte_records(solid, tmp_path):
         assert np.float32(value) == expected[x, y, z]
 
 
+@pytest.mark.parametrize(("centers", "spacing", "first"), [("cell", 2.0, 1.0), ("node", 4.0, 0.0)])
+@pytest.mark.parametrize("names", [("axis mins", "axis maxs", "centers"), ("axismins", "axismaxs", "centerings")])
+def test_nrrd_files_may_state_the_range_of_each_axis(names, centers, spacing, first, tmp_path):
+    values = " ".join([centers] * 3)
+    header = f"NRRD0004\ntype: float\ndimension: 3\nsizes: 2 3 4\nendian: little\nencoding: raw\n{names[0]}: 0 0 0\n"
+    maxs = "4 6 8" if centers == "cell" else "4 8 12"
+    header += f"{names[1]}: {maxs}\n{names[2]}: {values}\n\n"
+    (tmp_path / "a.nrrd").write_bytes(header.encode() + np.arange(24, dtype="<f4").tobytes())
+
+    volume = fb.load(tmp_path / "a.nrrd")
+
+    assert volume.spacing.tolist() == [spacing] * 3
+    assert volume.origin.tolist() == [first] * 3
+
+
 # --- VTK
 
 

@@ -228,3 +228,18 @@ def test_triangle_strips_of_a_ply_file_are_triangles(tmp_path, strips, form):
     assert mesh.area == pytest.approx(2.0)
     assert len(mesh.faces) == 4
     assert np.array_equal(mesh.face_normals, np.tile([0.0, 0.0, 1.0], (4, 1)))
+
+
+def test_scenes_have_the_order_of_the_file(folder):
+    # The nodes: 4 with the children 1 and 0, then 2, then the cameras, in the order 3, 5.
+    moved = [{"mesh": 0, "translation": [i, 0, 0], "name": "same"} for i in range(5)]
+    nodes = [*moved[:3], {"camera": 0}, {**moved[4], "children": [1, 0]}, {"camera": 1}]
+    cameras = [{"type": "perspective", "perspective": {"yfov": yfov, "znear": 0.1}} for yfov in (0.3, 0.6)]
+    path = write_gltf(folder / "a.gltf", nodes=nodes, scenes=[{"nodes": [4, 2, 3, 5]}], cameras=cameras)
+
+    scene = fb.load_scene(path)
+
+    assert [instance.transform[0, 3] for instance in scene.instances] == [4, 5, 4, 2]
+    assert [camera.fov_deg for camera in scene.cameras] == pytest.approx(np.degrees([0.3, 0.6]))
+    corners = fb.load_mesh(path).vertices[::3, 0]
+    assert corners.tolist() == [4, 5, 4, 2]

@@ -27,7 +27,7 @@ PLAIN = {
     "two objects": (".obj", "o a\n" + CUBE + QUADS[:10] + "o b\n" + QUADS[10:]),
     "normals": (".obj", CUBE + "vn 0 0 1\n" + "f 1//1 2//1 4//1\n"),
     "indices from the end": (".obj", CUBE + "f -8 -7 -5\n"),
-    "a pentagon and a triangle": (".obj", CUBE + "v .5 2 0\nf 1 2 4 9 3\nf 5 7 8\n"),
+    "a pentagon and a triangle": (".obj", CUBE + "v .5 2 .5\nf 1 2 4 9 3\nf 5 7 8\n"),
     "weights": (".obj", CUBE.replace("\n", " 1.0\n") + QUADS),
 }
 
@@ -91,6 +91,43 @@ def narrow_glb(kind, number):
     narrow = indices.astype(kind).tobytes().ljust(indices.nbytes, b"\0")
     narrowed = content[:at] + narrow + content[at + indices.nbytes :]
     return with_json(narrowed, lambda tree: tree["accessors"][0].update(componentType=number))
+
+
+OUTLINE = np.array([(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)])
+#: Patterns of the corners of faces, with and without coordinates and normals.
+CORNERS = {"positions": "{0}", "normals": "{0}//1", "coordinates": "{0}/{0}", "all": "{0}/{0}/1"}
+
+
+def prism(corner, turn):
+    """An L-shaped prism of height 1, whose ends are polygons from corner `turn` of the L on."""
+    outline = np.roll(OUTLINE, -turn, axis=0)
+    lines = [
+        f"v {x} {y} {z}\nvt {x} {y}\n" if "/{0}" in corner else f"v {x} {y} {z}\n" for z in (0, 1) for x, y in outline
+    ]
+    sides = [(i + 1, (i + 1) % 6 + 1, (i + 1) % 6 + 7, i + 7) for i in range(6)]
+    polygons = [range(7, 13), range(6, 0, -1), *sides]
+    lines += ["vn 0 0 1\n"] + [f"f {' '.join(corner.format(i) for i in polygon)}\n" for polygon in polygons]
+    return "".join(lines)
+
+
+@pytest.mark.parametrize("turn", range(6))
+@pytest.mark.parametrize("name", CORNERS)
+def test_concave_polygons_keep_their_outline(name, turn, tmp_path):
+    path = tmp_path / "prism.obj"
+    path.write_text(prism(CORNERS[name], turn))
+
+    mesh = fb.load_mesh(path)
+
+    assert mesh.is_closed
+    assert (mesh.area, mesh.volume) == pytest.approx((14, 3))
+    truth = fb.polygon(OUTLINE).extrude(1).translate((0, 0, 0.5))
+    points = np.random.default_rng(turn).uniform((-0.5, -0.5, -0.5), (2.5, 2.5, 1.5), (2000, 3))
+    assert (
+        np.abs(fb.signed_distance(mesh, points, dtype="float64") - truth.distance(points, dtype="float64")).max()
+        <= 1e-12
+    )
+    if "vt" in path.read_text():
+        assert np.array_equal(mesh.uv, mesh.vertices[:, :2].astype(np.float32))
 
 
 @pytest.mark.parametrize("kind", ["stl", "ply", "glb"])

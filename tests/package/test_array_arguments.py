@@ -38,3 +38,15 @@ def test_an_array_is_an_error_that_names_the_argument(name, value):
         pytest.importorskip("zarr")
     with pytest.raises(fb.Error, match=f"^{name}"):
         CALLS[name](value)
+
+
+def test_arrays_that_are_not_aligned_are_taken():
+    random = np.random.default_rng(0)
+    points, corners = random.uniform(-1, 1, (9, 3)), random.integers(0, 9, (4, 3))
+    shifted = [np.frombuffer(b"head" + array.tobytes(), array.dtype, offset=4) for array in (points, corners)]
+    odd_points, odd_corners = shifted[0].reshape(-1, 3), shifted[1].reshape(-1, 3)
+    assert not odd_points.flags.aligned
+
+    assert np.array_equal(fb.sphere(1).distance(odd_points), fb.sphere(1).distance(points))
+    mesh, odd = fb.Mesh(points, corners), fb.Mesh(odd_points, odd_corners)
+    assert np.array_equal(fb.signed_distance(odd, odd_points), fb.signed_distance(mesh, points))

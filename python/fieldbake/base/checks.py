@@ -103,18 +103,18 @@ def as_array(value: object) -> NDArray[Any]:
 
 
 def as_float64(array: NDArray[Any]) -> NDArray[np.float64]:
-    """Convert to C-contiguous float64. Values out of its range become infinite, and later checks report them.
+    """Convert to C-contiguous, aligned float64. Values out of its range become infinite, and later checks report them.
 
     A long array is copied only if the memory suffices: the values of a broadcast array may take a million times the
     memory of the array.
     """
-    if array.dtype == np.float64 and array.flags.c_contiguous:
+    if array.dtype == np.float64 and array.flags.c_contiguous and array.flags.aligned:
         return array
     if array.size >= LONG:
         what = f"a float64 array of shape {array.shape}"
         _core.require_memory(what, 8 * array.size, "pass fewer values at a time")
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.ascontiguousarray(array, dtype=np.float64)
+        return np.require(array, np.float64, ["C_CONTIGUOUS", "ALIGNED"])
 
 
 def vector(name: str, value: ArrayLike, length: int, error: type[Error] = ArgumentError) -> NDArray[np.float64]:

@@ -79,6 +79,10 @@ def write(stream: IO[bytes], grid: GridSamples, *, compressed: bool) -> None:
     stream.writelines(gzip_pieces(content, _LEVEL))
 
 
+#: Names of header fields that have a second spelling.
+_ALIASES = {"axismins": "axis mins", "axismaxs": "axis maxs", "centers": "centerings"}
+
+
 def read(data: bytes) -> GridSamples:
     """Read the grid of a file."""
     head, _, content = data[:MAX_HEADER_BYTES].partition(b"\n\n")
@@ -96,7 +100,7 @@ def read(data: bytes) -> GridSamples:
         if value.startswith("="):
             pairs[name] = value[1:]
         else:
-            header[name.strip().lower()] = value.strip()
+            header[_ALIASES.get(name.strip().lower(), name.strip().lower())] = value.strip()
     sizes = _whole_numbers(header, "sizes")
     kind = _TYPES.get(header.get("type", "").lower())
     if kind is None or header.get("dimension") != "3":
@@ -115,7 +119,7 @@ def read(data: bytes) -> GridSamples:
         raise FormatError(f"{sizes} samples need {size} bytes, the file has {len(content)}")
     samples = as_samples(np.frombuffer(content, dtype), sizes)
     facts = sidecar.parse(pairs["fieldbake"]) if "fieldbake" in pairs else None
-    return _placed(samples, *_place(header), facts)
+    return _placed(samples, *_place(header, sizes), facts)
 
 
 def _whole_numbers(header: dict[str, str], name: str) -> list[int]:
@@ -135,7 +139,7 @@ def _numbers(text: str) -> NDArray[np.float64]:
     return numbers
 
 
-def _place(header: dict[str, str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _place(header: dict[str, str], sizes: list[int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Read the centre of the first sample, (3,), and the step along each axis of the array, (3, 3), one row an axis."""
     if "space directions" in header:
         rows = [_numbers(text) for text in _VECTOR.findall(header["space directions"])]
@@ -144,9 +148,14 @@ def _place(header: dict[str, str]) -> tuple[NDArray[np.float64], NDArray[np.floa
             raise FormatError(f"the header must have three space directions, got {header['space directions'][:60]!r}")
         origin = _numbers(header["space origin"].strip("() ")) if "space origin" in header else np.zeros(3)
         return origin, directions
+    is_cell = "cell" in header.get("centerings", "")
     spacing = _numbers(header["spacings"]) if "spacings" in header else np.ones(3)
     origin = _numbers(header["axis mins"]) if "axis mins" in header else np.zeros(3)
-    if "axis mins" in header and "cell" in header.get("centerings", header.get("centers", "")):
+    if "axis mins" in header and "axis maxs" in header:
+        # The range from the first to the last sample, or of all cells.
+        steps = np.array(sizes) - (0 if is_cell else 1)
+        spacing = (_numbers(header["axis maxs"]) - origin) / np.where(steps > 0, steps, 1)
+    if "axis mins" in header and is_cell:
         origin = origin + spacing / 2
     return origin, np.diag(spacing)
 

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .. import _core
 from ..base import checks
 from ..base.errors import MeshError
 from ..base.former_names import former_names
@@ -309,6 +310,9 @@ def _read_file(path: str | os.PathLike[str], take: Callable[[Any, Document | Non
             warnings.simplefilter("ignore")
             document: Document | None = None
             source: Any = str(file)
+            # trimesh makes fans of polygons.
+            if ending == ".obj" and (divided := _core.divide_obj_polygons(head)) is not None:
+                source, options = io.BytesIO(divided), {**options, "file_type": "obj"}
             if ending in (".glb", ".gltf"):
                 document = Document(head, ending == ".glb")
                 source, options = io.BytesIO(document.content), {"file_type": ending[1:]}
@@ -346,7 +350,7 @@ def load_nodes(path: str | os.PathLike[str]) -> list[tuple[Mesh, NDArray[np.floa
 
     def take(scene: Any, document: Document | None) -> list[_Piece]:
         pieces = {}
-        for world_from_node, key, geometry in _visible_nodes(scene, str(path)):
+        for world_from_node, key, geometry in _visible_nodes(scene, str(path), document):
             if hasattr(geometry, "faces") and len(geometry.faces) > 0:
                 keys.append(key)
                 transforms.append(world_from_node)
@@ -384,12 +388,17 @@ def _check_is_whole(announced: int, faces: int) -> None:
         raise ValueError(f"its header announces {announced} faces, it has {faces}; is it complete?")
 
 
-def _visible_nodes(scene: Any, name: str) -> Iterator[tuple[NDArray[np.float64], str, Any]]:
-    """Yield the world-from-node transform, the key and the geometry of each node; a node of scale 0 is hidden."""
-    for node in scene.graph.nodes_geometry:
+def _visible_nodes(scene: Any, name: str, document: Document | None) -> Iterator[tuple[NDArray[np.float64], str, Any]]:
+    """Yield the world-from-node transform, the key and the geometry of each node; a node of scale 0 is hidden.
+
+    The nodes of a glTF file, `document`, have the order of the file.
+    """
+    nodes = list(scene.graph.nodes_geometry)
+    for node in nodes if document is None else sorted(nodes, key=document.rank):
         transform, key = scene.graph[node]
         if np.any(np.asarray(transform)[:3, :3]):
-            world_from_node = checks.affine(f"{name}: transform of node '{node}'", transform, MeshError)
+            shown = node if document is None else document.node_name(node)
+            world_from_node = checks.affine(f"{name}: transform of node '{shown}'", transform, MeshError)
             yield world_from_node, key, with_strips(scene.geometry[key])
 
 
@@ -397,7 +406,7 @@ def _from_scene(scene: Any, name: str, document: Document | None = None) -> list
     """List a piece for every node of a trimesh.Scene with triangles."""
     pieces = []
     others = []
-    for world_from_node, key, geometry in _visible_nodes(scene, name):
+    for world_from_node, key, geometry in _visible_nodes(scene, name, document):
         if hasattr(geometry, "faces"):
             pieces.append(_from_trimesh(geometry, key, document).transformed(world_from_node))
         else:

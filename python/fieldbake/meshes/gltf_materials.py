@@ -1,7 +1,7 @@
 """Material properties of glTF files that trimesh does not read: vertex colours, texture transforms, emission, unlit.
 
-The JSON of the file is edited before trimesh reads it. Each material is named by its index. Attributes are copied to
-names that begin with an underscore, which trimesh returns as they are stored.
+The JSON of the file is edited before trimesh reads it. Each material and each node is named by its index. Attributes
+are copied to names that begin with an underscore, which trimesh returns as they are stored.
 """
 
 from __future__ import annotations
@@ -65,6 +65,9 @@ class Document:
             optional_module("DracoPy", "a mesh compressed by Draco", extra="draco")
         for number, material in enumerate(tagged.get("materials", [])):
             material["name"] = str(number)
+        for number, node in enumerate(tagged.get("nodes", [])):
+            node["name"] = str(number)
+        self._ranks = _ranks(tagged)
         for mesh in tagged.get("meshes", []):
             for primitive in mesh["primitives"]:
                 attributes = primitive["attributes"]
@@ -90,6 +93,16 @@ class Document:
                 "the data compressed by Draco cannot be decoded; they are damaged, or trimesh is older than 5.0: "
                 "pip install 'fieldbake[draco]'"
             )
+
+    def rank(self, node: str) -> int:
+        """The place of a node of trimesh in the order of the file: parents first, and children as they are listed."""
+        # trimesh adds a text to the names of the primitives of one node.
+        return self._ranks.get(int(node.partition("_")[0]), len(self._ranks))
+
+    def node_name(self, node: str) -> str:
+        """The name of a node of trimesh in the file."""
+        number = node.partition("_")[0]
+        return str(self.tree["nodes"][int(number)].get("name", number))
 
     def read(self, mesh: Any) -> dict[str, Any]:
         """Read the colours, coordinates and material of a mesh that trimesh made of the file.
@@ -170,6 +183,19 @@ class Document:
         unused = [*sorted(self._unused), *(f"extension {name}" for name in sorted(unknown))]
         if unused:
             warn(f"{path}: not used: {', '.join(unused)}", MaterialWarning)
+
+
+def _ranks(tree: dict[str, Any]) -> dict[int, int]:
+    """The place of each visible node in the order of the file, by its index."""
+    nodes, scenes = tree.get("nodes", []), tree.get("scenes", [])
+    waiting = list(reversed(scenes[tree.get("scene", 0)].get("nodes", []) if scenes else range(len(nodes))))
+    ranks: dict[int, int] = {}
+    while waiting:
+        index = waiting.pop()
+        if index not in ranks:
+            ranks[index] = len(ranks)
+            waiting += reversed(nodes[index].get("children", []))
+    return ranks
 
 
 def _placement(texture: dict[str, Any]) -> tuple[int, tuple[float, ...], float, tuple[float, ...]]:

@@ -44,7 +44,7 @@ def check_faces(value: ArrayLike) -> NDArray[np.uint32 | np.int64]:
         return np.require(array, requirements=["C_CONTIGUOUS", "ALIGNED"])
     if array.dtype.kind == "u" and array.max() > np.iinfo(np.int64).max:
         raise MeshError(f"faces: index {array.max()} is out of range")
-    return np.ascontiguousarray(array, dtype=np.int64)
+    return np.require(array, np.int64, ["C_CONTIGUOUS", "ALIGNED"])
 
 
 def check_uv(value: ArrayLike, vertices: int) -> NDArray[np.float32]:

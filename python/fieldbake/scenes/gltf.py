@@ -114,11 +114,11 @@ def _document(file: Path) -> dict[str, Any]:
 
 
 def _nodes(document: dict[str, Any]) -> Iterator[tuple[dict[str, Any], NDArray[np.float64]]]:
-    """Iterate over the visible nodes of the scene with their world-from-node transforms."""
+    """Iterate over the visible nodes of the scene with their world-from-node transforms, in the order of the file."""
     nodes = document.get("nodes", [])
     scenes = document.get("scenes", [])
     roots = scenes[document.get("scene", 0)].get("nodes", []) if scenes else range(len(nodes))
-    waiting = [(index, np.eye(4)) for index in roots]
+    waiting = [(index, np.eye(4)) for index in reversed(roots)]
     seen: set[int] = set()
     while waiting:
         index, world_from_parent = waiting.pop()
@@ -127,7 +127,7 @@ def _nodes(document: dict[str, Any]) -> Iterator[tuple[dict[str, Any], NDArray[n
         seen.add(index)
         world_from_node = world_from_parent @ _transform(nodes[index])
         yield nodes[index], world_from_node
-        waiting += [(child, world_from_node) for child in nodes[index].get("children", [])]
+        waiting += [(child, world_from_node) for child in reversed(nodes[index].get("children", []))]
 
 
 def _transform(node: dict[str, Any]) -> NDArray[np.float64]:
