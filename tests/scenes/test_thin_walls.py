@@ -233,3 +233,18 @@ def test_a_thin_solid_that_scatters_light_warns_with_a_resolution_that_has_its_w
 def test_a_picture_of_the_field_of_a_thin_solid_warns(options: dict[str, str]) -> None:
     with pytest.warns(fb.SurfaceWarning, match="thinner than"):
         fb.render(fb.Scene([plate(0.05)]), size=(16, 12), device="cpu", **options)
+
+
+@pytest.mark.parametrize("width", [10, 1e4, 1e6, 1e9])
+@pytest.mark.parametrize("shadows", ["hard", "soft"])
+def test_a_mesh_shades_a_floor_of_any_width(shadows: str, width: float) -> None:
+    corners = np.array([(-1, 0, -1), (1, 0, -1), (1, 0, 1), (-1, 0, 1)])
+    ball = fb.sphere(0.5).translate((0, 0.55, 0))
+    dark = []
+    for caster, side in ((ball, 10), (ball.to_mesh(48), width)):
+        scene = fb.Scene([caster, fb.Mesh(side * corners, [(0, 2, 1), (0, 3, 2)])], [fb.PointLight((1, 3, 1))])
+        camera = fb.Camera((1.5, 2, 3), (0, 0.3, 0))
+        frame = fb.render(scene, camera, size=(160, 120), shadows=shadows, device="cpu")
+        dark.append((frame.object_id == 1) & (frame.shadow < 0.5))
+    assert dark[0].sum() > 300
+    assert (dark[0] != dark[1]).sum() <= 0.02 * dark[0].sum()

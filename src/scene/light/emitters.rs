@@ -287,7 +287,7 @@ impl Emitters {
             return Vec3::ZERO;
         }
         // The ray starts off its own surface.
-        let lift = scene.lift(place) / cosine;
+        let lift = scene.lift(place.own, emitter.instance) / cosine;
         let is_visible = casters
             .first_surface(place, &ray, work)
             .is_none_or(|hit| hit.place.own == emitter.instance && hit.t >= t - lift - SAME_PLACE * t);

@@ -30,7 +30,6 @@ use crate::scene::content::instance::Instance;
 use crate::scene::content::model::Scene;
 use crate::scene::content::triangles::Triangles;
 use crate::scene::visibility::appearance::FaceAppearance;
-use glam::DVec3;
 use rayon::prelude::*;
 
 /// Largest distance of a flat mesh from its plane, relative to its size: half the distance at which rays start off
@@ -40,6 +39,10 @@ const FLATNESS: f64 = 5e-7;
 /// Distance of the start of a ray from its own surface, relative to the size of the mesh. Float32 vertices of coplanar
 /// faces differ by a sixteenth of it.
 const LIFT: f64 = 1e-6;
+
+/// Largest distance of the start from the surface, relative to the lift of the mesh that is tested: a small mesh on a
+/// wide floor lies within the lift of the floor.
+const MOST_LIFTS: f64 = 64.0;
 
 /// Difference of depths within which two crossings count as one, in scene units and relative.
 const SAME_DEPTH: f64 = 1e-9;
@@ -127,7 +130,8 @@ impl Scene {
         share
     }
 
-    /// A part of a ray in the space of the tree of an instance, from the start off its own surface.
+    /// A part of a ray in the space of the tree of an instance, from a start slightly off the ray's own surface, on the
+    /// side to which the ray goes.
     pub(crate) fn ray_in_tree(
         &self,
         item: u32,
@@ -136,22 +140,23 @@ impl Scene {
         [t_min, t_max]: [f64; 2],
     ) -> watertight::Ray {
         let instance = &self.instances[item as usize];
-        let mut origin = instance.tree_from_scene.transform_point3(self.lifted(place, ray));
+        let lift = self.lift(place.own, item);
+        let normal = place.normal.as_dvec3();
+        let start = place.p + lift.copysign(normal.dot(ray.direction)) * normal;
+        let mut origin = instance.tree_from_scene.transform_point3(start);
         if item == place.own {
             origin += place.lift.as_dvec3();
         }
         watertight::Ray { origin, direction: instance.tree_from_scene.matrix3 * ray.direction, t_min, t_max }
     }
 
-    /// Start of a ray: slightly off its own surface, on the side to which it goes.
-    fn lifted(&self, place: &SurfacePoint, ray: &LightRay) -> DVec3 {
-        let normal = place.normal.as_dvec3();
-        place.p + self.lift(place).copysign(normal.dot(ray.direction)) * normal
-    }
-
-    /// Distance of the start of a ray from its own surface, scene units.
-    pub(crate) fn lift(&self, place: &SurfacePoint) -> f64 {
-        let own = &self.instances[place.own as usize];
-        own.triangles.as_ref().map_or(0.0, |triangles| LIFT * triangles.mesh.scale() * f64::from(own.stretch[1]))
+    /// Distance of the start of a ray past an instance from the own surface, scene units; 0 without triangles.
+    pub(crate) fn lift(&self, own: u32, past: u32) -> f64 {
+        let [own, past] = [own, past].map(|item| {
+            let instance = &self.instances[item as usize];
+            let triangles = instance.triangles.as_ref();
+            triangles.map_or(0.0, |triangles| LIFT * triangles.mesh.scale() * f64::from(instance.stretch[1]))
+        });
+        own.min(MOST_LIFTS * past)
     }
 }
