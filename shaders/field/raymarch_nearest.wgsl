@@ -55,7 +55,3 @@ fn first_hit(ray: ClippedRay) -> Hit {
 fn slope_at(p_grid: vec3f) -> vec3f {
     return entered;
 }
-
-fn ambient_on(normal: vec3f) -> f32 {
-    return ambient_light(normal, params.ambient);
-}

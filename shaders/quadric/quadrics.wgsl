@@ -209,7 +209,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         let q = load_quadric(hit.place);
         let p = ray.start + hit.t * direction;
         let normal = quadric_normal(q, p, direction);
-        var color = ambient_light(normal, params.ambient) * q.reflectance;
+        var color = params.ambient * q.reflectance;
         for (var i = 0u; i < min(params.rays.light_count, MAX_LIGHTS); i++) {
             let to_light = -lights[i].direction;
             var share = 1.0;

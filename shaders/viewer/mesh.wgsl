@@ -61,8 +61,7 @@ fn lit_color(corner: LitCorner) -> @location(0) vec4f {
     // by less than that.
     let offset = length(moved_by_transpose(own_index, 9u, normal));
     let own_start = moved(own_index, 6u, vec4f(p + offset * normal, 1.0));
-    let ambient = select(view.light.x, ambient_light(normal, view.light.x), view.light.y == 1.0);
-    var color = glow.xyz + ambient * tint.xyz;
+    var color = glow.xyz + view.light.x * tint.xyz;
     let first = u32(view.size.w) + 1u;
     for (var i = first; i < first + u32(view.light.z); i++) {
         let near = light_at(i, p);

@@ -34,7 +34,7 @@ struct View {
     // Width and height of the picture, pixels; side of a pixel at depth 1; number of instances.
     size: vec4f,
     background: vec4f,
-    // Ambient light, strength of ground light (hemisphere) or 1, number of lights, kind of picture.
+    // Ambient light, an unused number, number of lights, kind of picture.
     light: vec4f,
     // Level of the surface, distance of iso-lines, range of colours, largest number of steps: world units.
     level: vec4f,

@@ -27,8 +27,7 @@ fn triangle_corner(@location(0) place: vec3f, @location(1) slope: vec3f) -> Corn
     let glow = own.texels[13];
     var color = glow.xyz + tint.xyz;
     if (u32(own.texels[17].w) & FLAG_UNLIT) == 0u {
-        let ambient = select(view.light.x, ambient_light(normal, view.light.x), view.light.y == 1.0);
-        color = glow.xyz + ambient * tint.xyz;
+        color = glow.xyz + view.light.x * tint.xyz;
         for (var i = 0u; i < u32(view.light.z); i++) {
             let first = 4u * i;
             let outer = lights.texels[first + 3u].x;

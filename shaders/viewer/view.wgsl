@@ -233,8 +233,7 @@ fn main(@builtin(position) position: vec4f) -> @location(0) vec4f {
             color = glow.xyz + albedo;
             break;
         }
-        let ambient = select(view.light.x, ambient_light(normal, view.light.x), view.light.y == 1.0);
-        color = glow.xyz + ambient * albedo;
+        color = glow.xyz + view.light.x * albedo;
     }
 
     if !IS_MOTION && !is_color {

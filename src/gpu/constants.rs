@@ -261,8 +261,6 @@ wgsl_constants! {
         PARTS: u32 as u32 = 16;
     }
     light {
-        /// Ambient light from below, as a fraction of the ambient light from above.
-        GROUND_SHARE: f32 as f32 = 0.4;
         MAX_LIGHTS: usize as u32 = 64;
     }
     csg_tables {

@@ -1,4 +1,4 @@
-//! Colour of a hit: Blinn-Phong (Blinn 1977) with directional lights, a hemisphere of ambient light, hard shadows.
+//! Colour of a hit: Blinn-Phong (Blinn 1977) with directional lights, ambient light, hard shadows.
 //!
 //! The normal is the gradient of the trilinear field averaged over a voxel around the hit (a central difference of half
 //! a voxel is that average along its axis), transformed to world space, so it is right for oblong voxels. The gradient
@@ -10,7 +10,6 @@
 //! above the surface, along the normal. The bias is in voxels, because it must clear the facets of the trilinear
 //! surface, which have the size of a voxel. A side that faces away from a light receives none of it.
 
-use crate::gpu::constants::light::GROUND_SHARE;
 use crate::march::blocks::Blocks;
 use crate::march::marcher::{Marcher, clip_to_box, each_axis, floor};
 use crate::picture::{DirectionalLight, RaymarchOptions, Shadows};
@@ -37,9 +36,7 @@ pub(crate) fn lit_color(
     shadow: &[f32],
     options: &RaymarchOptions,
 ) -> Vec3 {
-    // Interpolated between the ground (normal down) and the sky (normal up).
-    let sky = 0.5 + 0.5 * normal.y;
-    let mut lit = options.ambient * (GROUND_SHARE + (1.0 - GROUND_SHARE) * sky) * color;
+    let mut lit = options.ambient * color;
     for (light, share) in lights.iter().zip(shadow) {
         let to_light = -light.direction;
         let cosine = normal.dot(to_light);

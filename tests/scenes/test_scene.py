@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import fieldbake as fb
 import meshes
@@ -207,6 +208,19 @@ def test_colours_before_a_transparent_background_are_not_mixed_with_it(
     covered = (alpha - background[3]) / (1 - background[3])
     expected = covered[..., None] * (1, 0, 0) + (1 - covered[..., None]) * background[3] * np.array(background[:3])
     assert np.abs(color * alpha[..., None] - expected).max() <= 1e-5
+
+
+@pytest.mark.parametrize("ending", ["png", "jpg", "bmp"])
+def test_files_without_opacity_have_the_picture_over_the_background(ending: str, tmp_path) -> None:
+    scene = fb.Scene([sheet(0, 0.25, (1, 0, 0))], lights=[], ambient=1.0, background=(1, 1, 1, 0))
+    frame = fb.render(scene, fb.Camera((0, 0, 5), (0, 0, 0)), size=(32, 32), device="cpu")
+
+    frame.save(tmp_path / f"a.{ending}")
+
+    pixels = Image.open(tmp_path / f"a.{ending}")
+    expected = {"png": [(255, 0, 0, 64), (255, 255, 255, 0)]}.get(ending, [(255, 225, 225), (255, 255, 255)])
+    for place, color in zip([(16, 16), (0, 0)], expected, strict=True):
+        assert pixels.getpixel(place) == pytest.approx(color, abs=4)
 
 
 def test_flags() -> None:

@@ -72,7 +72,6 @@ export interface ViewData {
   key: { direction: Vector; color: Vector };
   background: [number, number, number, number];
   ambient: number;
-  hemisphere: boolean;
   bounds: [Vector, Vector];
   camera: CameraState;
   /** Smallest and largest level at which the data have a surface, world units. */

@@ -269,7 +269,7 @@ export class Resources {
     return new Float32Array([
       ...[width, height, camera.pixel(height), count],
       ...settings.background,
-      ...[description.ambient, description.hemisphere ? 1 : 0, lights, picture],
+      ...[description.ambient, 0, lights, picture],
       ...[settings.level, description.spacing, description.range, description.most_steps],
       ...plane,
       ...[...lower, 0],

@@ -131,6 +131,7 @@ class Frame:
         """Write the 8-bit image as .png, .jpg, .webp, .tiff or .bmp, or another format of Pillow.
 
         The floats of `color`, `depth` and `normal` are arrays: ``numpy.savez(path, depth=frame.depth)`` keeps them.
+        A format without opacity, such as .jpg, has the picture over the colour of its most transparent pixel.
 
         Raises
         ------
@@ -139,7 +140,12 @@ class Frame:
         OSError
             If the file cannot be written.
         """
-        save_image(self.image, path)
+        pixels = self.image
+        if checks.path(path).suffix.lower() in WITHOUT_ALPHA:
+            rgb, opacity = self.color[..., :3], self.color[..., 3:]
+            behind = rgb.reshape(-1, 3)[opacity.argmin()]
+            pixels = bytes_from_unit(srgb_from_linear(rgb * opacity + behind * (1 - opacity)))
+        save_image(pixels, path)
 
     def _repr_png_(self) -> bytes:
         """The image as PNG, for notebooks."""

@@ -97,8 +97,6 @@ class Content:
     lights: Sequence[Light] | None = None
     ambient: float = AMBIENT
     background: Sequence[float] = BACKGROUND
-    #: Ambient light comes from above more than from below, as in pictures of one field.
-    hemisphere: bool = True
     #: Differences between the picture and the object, for the line below the picture.
     remarks: list[str] = field(default_factory=list)
     #: Pictures of the pages of an atlas.
@@ -179,7 +177,6 @@ class Content:
             "key": {"direction": KEY_DIRECTION, "color": [KEY_INTENSITY] * 3},
             "background": list(self.background),
             "ambient": self.ambient,
-            "hemisphere": self.hemisphere,
             "bounds": self.bounds.tolist(),
             "camera": {"pose": self.camera.pose.ravel().tolist(), "fov": self.camera.fov_deg, "distance": distance},
             "levels": [min(max(low, -reach), 0.0), max(min(high, reach), 0.0)],
@@ -224,7 +221,7 @@ def content_of(geometry: Any, camera: Camera | None, encoding: str, size: tuple[
         return content
     if isinstance(geometry, Quadric):
         content = _of_scene(Scene([geometry]), camera, encoding, size)
-        content.title, content.hemisphere, content.drawn = "Quadric", True, geometry
+        content.title, content.drawn = "Quadric", geometry
         return content
     functions = _functions([geometry])
     if isinstance(geometry, Shape):
@@ -294,7 +291,6 @@ def _of_scene(scene: Scene, camera: Camera | None, encoding: str, size: tuple[in
         lights=scene.lights,
         ambient=mean_of(scene.ambient),
         background=scene._background,
-        hemisphere=False,
         remarks=_remarks([instance.geometry for instance in scene.instances if isinstance(instance.geometry, Mesh)]),
         drawn=scene,
     )

@@ -95,8 +95,3 @@ fn slope_at(p_grid: vec3f) -> vec3f {
     let high = vec3f(shape) - 1.5;
     return slope_over_voxel(clamp(in_level(k, p_grid), min(vec3f(0.5), high), high), shape);
 }
-
-// Ambient light is the same from all sides, as in scenes, where the CPU draws nested fields.
-fn ambient_on(normal: vec3f) -> f32 {
-    return params.ambient;
-}

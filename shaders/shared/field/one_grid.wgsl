@@ -7,7 +7,3 @@ fn first_hit(ray: ClippedRay) -> Hit {
 fn slope_at(p_grid: vec3f) -> vec3f {
     return slope_over_voxel(p_grid, params.shape);
 }
-
-fn ambient_on(normal: vec3f) -> f32 {
-    return ambient_light(normal, params.ambient);
-}

@@ -1,5 +1,4 @@
-// Colour of a lit surface: Blinn-Phong reflection of directional lights, and hemispherical ambient light. Twin of
-// src/render/shade.rs.
+// Colour of a lit surface: Blinn-Phong reflection of directional lights. Twin of src/render/shade.rs.
 
 struct Light {
     // Direction in which the light travels, unit length.
@@ -11,12 +10,6 @@ struct Light {
 
 // Slightly above the smallest normal float32. A shorter vector has no direction.
 const SHORTEST: f32 = 1.2e-38;
-
-// Ambient light on a surface: interpolated between the ground (normal down) and the sky (normal up).
-fn ambient_light(normal: vec3f, ambient: f32) -> f32 {
-    let sky = 0.5 + 0.5 * normal.y;
-    return ambient * (GROUND_SHARE + (1.0 - GROUND_SHARE) * sky);
-}
 
 // Contribution of one unoccluded light to the colour.
 fn light_adds(light: Light, color: vec3f, normal: vec3f, to_eye: vec3f, specular: f32, shininess: f32) -> vec3f {

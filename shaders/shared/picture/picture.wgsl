@@ -1,6 +1,5 @@
 // Draws a field. One invocation computes one pixel: its ray and its shadow rays. Twin of src/render/mod.rs and
-// src/render/shade.rs. The importing kernel must define `field_at`, `first_hit` of a ray, `slope_at` a point, and
-// `ambient_on` a surface.
+// src/render/shade.rs. The importing kernel must define `field_at`, `first_hit` of a ray, and `slope_at` a point.
 
 #import clip
 #import light
@@ -103,7 +102,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
                 normal = to_eye;
             }
 
-            var color = ambient_on(normal) * params.color;
+            var color = params.ambient * params.color;
             for (var i = 0u; i < min(params.rays.light_count, MAX_LIGHTS); i++) {
                 var share = 1.0;
                 if params.rays.shadows == 1u { share = share_that_arrives(p_grid, normal, -lights[i].direction); }
