@@ -299,21 +299,34 @@ fn may_meet(index: u32, beam: Beam) -> bool {
     return aside - slope * along <= (*to).surface_radius * sqrt(1.0 + slope * slope);
 }
 
-// Lower bound, in radii, of the distance between the axis of a cone and the surface of an instance, by the ball around
-// the surface: see src/scene/light/occlusion.rs.
-fn least_x(index: u32, beam: Beam) -> f32 {
+// The ball around the surface of an instance beside the axis of a cone: the lower bound, in radii, of the distance
+// between the axis and the surface, and the largest fraction of the section that the ball covers. See
+// src/scene/light/occlusion.rs.
+fn ball_beside(index: u32, beam: Beam) -> vec2f {
     let to = &instances[index];
     let ray = ray_in_field(index, beam);
     let slope = beam.slope / (length(local_direction(index, beam.direction)) * (*to).least_stretch);
     let way = 0.5 * ((*to).surface_lower + (*to).surface_upper) - ray.origin;
     let squared = dot(way, way);
     let radius = (*to).surface_radius;
-    if squared <= radius * radius { return -1.0; }
+    if squared <= radius * radius { return vec2f(-1.0, 1.0); }
     let along = dot(way, normalize(ray.direction));
     let aside = sqrt(max(squared - along * along, 0.0));
     let tangent = sqrt(squared - radius * radius);
-    if along * tangent + aside * radius < 0.0 { return FAR_T; }
-    return (aside * tangent - along * radius) / (slope * squared);
+    if along * tangent + aside * radius < 0.0 { return vec2f(FAR_T, 0.0); }
+    let x = (aside * tangent - along * radius) / (slope * squared);
+    // The disc of the ball as far as it lies within the rim of the cone, see `covered_by_ball`.
+    let far = sqrt(squared);
+    let within = visible_share((slope * far - select(far, aside, along > 0.0)) / radius);
+    let disc = radius * radius / (slope * slope * squared);
+    return vec2f(x, min(disc * within, 1.0 - visible_share(x)));
+}
+
+// Fraction of a wide cone's section that an instance lets pass, twin of src/scene/light/occlusion.rs.
+fn beside_others(x: f32, least_x: f32, ball: f32) -> f32 {
+    let alone = clamp((1.0 + x) / max(1.0 + least_x, RIM_ROUNDING), 0.0, 1.0);
+    let share = visible_share(x);
+    return share + alone * max(1.0 - ball - share, 0.0);
 }
 
 // The ray of a cone to point `i` of its section, spread evenly.
@@ -357,20 +370,27 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
     var is_proven = true;
     var x = 1.0;
     var thin = all_thin_rays();
+    var thin_beam = beam;
+    // The slope of a wide cone is a sine; rays in it need the tangent.
+    if HAS_WIDE && beam.is_coarse == WIDE { thin_beam.slope = beam.slope / sqrt(1.0 - beam.slope * beam.slope); }
     var walk = begin_walk(beam);
     for (var caster = next_caster(&walk, beam); caster.index != NO_INSTANCE; caster = next_caster(&walk, beam)) {
         if HAS_THIN && instances[caster.index].prefers_rays != 0u {
-            if may_meet(caster.index, beam) { block(&thin, caster, beam); }
+            if may_meet(caster.index, thin_beam) { block(&thin, caster, thin_beam); }
             continue;
         }
         let opacity = instances[caster.index].opacity;
         var x_known = select(1.0, x, beam.is_coarse != 0u && opacity >= 1.0);
-        var least = -1.0;
-        if HAS_WIDE && beam.is_coarse == WIDE {
+        var ball = vec2f(-1.0, 1.0);
+        let is_near = HAS_WIDE && beam.is_coarse == WIDE && caster.index < params.far;
+        if is_near {
             // Cones of occlusion are wide: they enter the boxes of many instances and miss most of the surfaces inside.
-            if caster.index < params.far { least = least_x(caster.index, beam); }
-            if least >= x_known { continue; }
-            // The value for one instance does not depend on the instances before.
+            ball = ball_beside(caster.index, beam);
+            if ball.x >= 1.0 { continue; }
+            if ball.y <= LEAST_BALL && opacity >= 1.0 {
+                share *= 1.0 - BALL_SHARE * ball.y;
+                continue;
+            }
             x_known = 1.0;
         }
         let ray = ray_in_field(caster.index, beam);
@@ -379,12 +399,17 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
         var cone = cone_past(caster, beam, ray, span, x_known, with_edges);
         if needs_edge { return vec2f(0.0); }
         // Beside a free axis a distance may be a loose bound.
-        if cone.x >= 0.0 { cone.x = max(cone.x, least); }
+        if cone.x >= 0.0 { cone.x = max(cone.x, ball.x); }
         if opacity < 1.0 {
             share *= 1.0 - opacity * (1.0 - visible_share(cone.x));
             is_proven = is_proven && (cone.is_covered || cone.x >= 1.0);
         } else {
             if cone.is_covered { return vec2f(0.0, 1.0); }
+            if is_near {
+                share *= beside_others(cone.x, ball.x, ball.y);
+                if share <= 0.0 { return vec2f(0.0); }
+                continue;
+            }
             x = min(x, cone.x);
             if x <= -1.0 && beam.is_coarse != 0u { return vec2f(0.0); }
         }

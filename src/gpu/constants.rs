@@ -216,6 +216,10 @@ wgsl_constants! {
         /// Length in which an occluder at the end of a cone of occlusion fades out, in radii of the cone's end. An
         /// occluder covers the section only if the axis is inside it for a radius, so the fade may be as long as that.
         END_FADE: f32 as f32 = 0.5;
+        /// Largest fraction of a wide cone's section that the ball of an instance covers if the instance is not
+        /// evaluated, and the fraction of the ball that counts then.
+        LEAST_BALL: f32 as f32 = 0.04;
+        BALL_SHARE: f32 as f32 = 0.7;
     }
     scene_beam {
         /// Number of consecutive cones with a common cut of the scene's tree, and of nodes of a cut.

@@ -9,9 +9,6 @@ use std::sync::Arc;
 /// Relative margin for the rounding of distances.
 const ROUNDING: f32 = 1e-5;
 
-/// Stands for an infinite radius in a shader; its square is finite.
-const LARGEST_RADIUS: f32 = 1e15;
-
 /// A ball that contains the surface of an instance, scene units.
 #[derive(Debug, Clone, Copy)]
 pub struct Ball {
@@ -34,21 +31,19 @@ impl Ball {
                 let (center, radius) =
                     *known.entry(Arc::as_ptr(field).addr()).or_insert_with(|| surface_ball(field.as_ref()));
                 let center = instance.field_from_scene.inverse().transform_point3(center).as_vec3();
-                // Loose bounds of distances would otherwise make the result depend on the order of the instances.
-                let radius = if field.is_loose() { f32::INFINITY } else { radius as f32 * (1.0 + ROUNDING) };
+                let radius = radius as f32 * (1.0 + ROUNDING);
                 let scale = field.field_from_local().matrix3;
                 let units =
                     [scale.x_axis, scale.y_axis, scale.z_axis].map(DVec3::length).into_iter().fold(0.0, f64::max);
-                let field_radius =
-                    (radius * units as f32).min(if field.is_loose() { LARGEST_RADIUS } else { field.surface_radius() });
+                let field_radius = (radius * units as f32).min(field.surface_radius());
                 Self { center, radius: radius * instance.stretch[1], field_radius }
             })
             .collect()
     }
 }
 
-/// Largest number of halvings of a surface's box in [`surface_ball`]. They give the radius to an eighth of the box.
-const HALVINGS: u32 = 4;
+/// Largest number of halvings of a surface's box in [`surface_ball`]. They give the radius to a sixteenth of the box.
+const HALVINGS: u32 = 5;
 
 /// Centre in field space and radius in the object's units of a ball that contains the surface.
 ///
@@ -104,8 +99,8 @@ mod tests {
         let field = SampledField::new(field, [DVec3::splat(-1.0), DVec3::ONE], &Progress::new()).unwrap();
         let (center, radius) = surface_ball(&field);
         assert!((center - 23.5).length() <= 1.0, "{center}");
-        // A cell of an eighth of the box has the diagonal 0.24. Its centre may be half of that and a voxel off the
+        // A cell of a sixteenth of the box has the diagonal 0.12. Its centre may be half of that and a voxel off the
         // surface.
-        assert!((1.0..=1.0 + 0.24 + 0.0625).contains(&radius), "{radius}");
+        assert!((1.0..=1.0 + 0.12 + 0.0625).contains(&radius), "{radius}");
     }
 }

@@ -86,11 +86,6 @@ pub trait Field: Send + Sync {
         1.0
     }
 
-    /// Whether distances away from the surface may be far below the true ones.
-    fn is_loose(&self) -> bool {
-        false
-    }
-
     /// Whether stored values are known to change no faster than a distance from each sample to its 26 neighbours. Most
     /// of the ball around a point with the radius of its value is then free; see [`crate::scene::light::cone`].
     fn is_lipschitz(&self) -> bool {
@@ -258,10 +253,6 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
         unit(slope)
     }
 
-    fn is_loose(&self) -> bool {
-        F::IS_LOOSE
-    }
-
     fn is_lipschitz(&self) -> bool {
         *self.is_lipschitz.get_or_init(|| self.marcher.field.is_lipschitz())
     }
@@ -278,9 +269,6 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
 
 /// Fields that devices support.
 pub(crate) trait OnDevice: Blocks + Sized {
-    /// See [`Field::is_loose`].
-    const IS_LOOSE: bool = false;
-
     /// Whether the values may be any numbers, not only distances and lower bounds of them.
     const HAS_ANY_VALUES: bool = false;
 

@@ -182,10 +182,6 @@ impl Field for ShapeField {
         SurfaceAppearance { normal: normal.unwrap_or_default(), color: tracer.color(p, hit.part) }
     }
 
-    fn is_loose(&self) -> bool {
-        true
-    }
-
     fn prefers_rays(&self) -> bool {
         self.leaves > DISTANCES_UP_TO
     }

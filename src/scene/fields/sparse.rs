@@ -73,8 +73,6 @@ impl Blocks for SparseBricks {
 }
 
 impl OnDevice for SparseBricks {
-    const IS_LOOSE: bool = true;
-
     fn enter(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<(), DeviceError> {
         let marcher = field.marcher();
         tables.add_sparse(marcher.field.view(), marcher.empty())

@@ -14,18 +14,19 @@
 //!   x >= sin(A - B) / slope      in radii of the cone, where A - B < 90 degrees; else it stays out of the cone
 //! ```
 //!
-//! because the balls of radius `slope x t` about the axis fill the cone of half-angle `asin(slope x)`. The instances
-//! are evaluated in the order of these bounds. All instances whose bound is larger than the nearest edge so far are
-//! skipped, which are nearly all.
+//! because the balls of radius `slope x t` about the axis fill the cone of half-angle `asin(slope x)`.
 //!
-//! The value for one instance is at least its bound and does not depend on the others. Therefore the minimum of all
-//! values does not depend on the order.
+//! The section of a cone is much wider than a small or distant instance, whose edge is no chord of it. The ball covers
+//! at most `(sin B / slope)^2` of the section, and the instance covers no more ([`covered_by_ball`]). Only where others
+//! cover the rest is an edge darker than the ball alone ([`beside_others`]). An instance that covers little is not
+//! evaluated. The fractions that the instances let pass multiply.
 
-use super::cone::{BallAhead, ConeSum, WideCone, clearance};
+use super::cone::{BallAhead, ConeSum, WideCone, clearance, visible_share};
 use super::light_rays::{LightCone, LightRay, LightWork, SurfacePoint, basis};
 use super::near_instances::{Beside, ConeOccluder, NearInstances};
 use super::occluder::bias;
 use super::shadow::Casters;
+use crate::gpu::constants::scene_beams::{BALL_SHARE, LEAST_BALL};
 use crate::scene::content::model::Scene;
 use crate::scene::content::tree::Line;
 use crate::simd::with_vectors;
@@ -33,8 +34,11 @@ use glam::Vec3;
 
 /// Cones over a hemisphere: one along the normal and a ring of six.
 pub(crate) const AO_CONES: usize = 7;
-/// Tangent of half the angle of a cone, 30 degrees: seven such cones just cover a hemisphere.
-pub(crate) const AO_SLOPE: f32 = 0.577_350_3;
+/// Sine of half the angle of a cone, 30 degrees: seven such cones just cover a hemisphere. The balls of this radius per
+/// distance about the axis touch the plane of the surface.
+pub(crate) const AO_SLOPE: f32 = 0.5;
+/// Tangent of half the angle, for rays in the cone.
+pub(crate) const AO_TANGENT: f32 = 0.577_350_3;
 /// Cosine and sine of the angle of the ring from the normal: 60 degrees.
 const AO_RING: (f64, f64) = (0.5, 0.866_025_403_784_438_6);
 
@@ -68,8 +72,6 @@ pub(crate) struct Occluders {
     around: Option<(Vec3, f32)>,
     /// The instances that it found.
     nearby: NearInstances,
-    /// Whether some instances of `nearby` are not opaque solids.
-    is_mixed: bool,
     /// Vector from the place to the centre of the ball of each nearby instance.
     toward: [Vec<f32>; 3],
     /// Its squared length `c^2`.
@@ -206,18 +208,23 @@ impl Occluders {
     }
 }
 
-/// Moves the instance with the smallest bound to the end and returns it. A cone evaluates few of the instances, so they
-/// are not sorted.
-fn take_nearest(waiting: &mut [ConeOccluder]) -> Option<ConeOccluder> {
-    let last = waiting.len().checked_sub(1)?;
-    let mut nearest = 0;
-    for (i, candidate) in waiting.iter().enumerate() {
-        if candidate.x < waiting[nearest].x {
-            nearest = i;
-        }
-    }
-    waiting.swap(nearest, last);
-    Some(waiting[last])
+/// Largest fraction of a cone's section that a ball covers: its own disc, as far as it lies within the rim of the cone,
+/// which is nearly straight there. The chord at the ball's edge, `x` radii from the axis, bounds a large ball. `along`
+/// is the position of the centre along the axis, `squared` its squared distance.
+fn covered_by_ball(along: f32, squared: f32, radius: f32, x: f32) -> f32 {
+    let aside = if along > 0.0 { (squared - along * along).max(0.0).sqrt() } else { squared.sqrt() };
+    let within = visible_share((AO_SLOPE * squared.sqrt() - aside) / radius);
+    let disc = radius * radius / (AO_SLOPE * AO_SLOPE * squared);
+    (disc * within).min(1.0 - visible_share(x))
+}
+
+/// Fraction of a cone's section that an instance lets pass, from its edge at `x` radii. It is at least the fraction
+/// beside its ball, whose edge is at `least_x` and which covers at most `ball`. If the axis is blocked and others cover
+/// the section beside the instance, the edge is nearer than `least_x`. The ball counts less there, and not at -1.
+fn beside_others(x: f32, least_x: f32, ball: f32) -> f32 {
+    let alone = ((1.0 + x) / (1.0 + least_x).max(ROUNDING)).clamp(0.0, 1.0);
+    let share = visible_share(x);
+    share + alone * (1.0 - ball - share).max(0.0)
 }
 
 impl Casters<'_> {
@@ -232,7 +239,7 @@ impl Casters<'_> {
         self.gather(place, distance, occluders);
         let (mut sum, mut weights) = (0.0, 0.0);
         for (ray, weight) in place.open_rays(distance) {
-            let past_sheets = self.scene.cone_past_sheets(place, &ray, AO_SLOPE, work);
+            let past_sheets = self.scene.cone_past_sheets(place, &ray, AO_TANGENT, work);
             if past_sheets > 0.0 {
                 sum += weight * past_sheets * self.wide_share(place, &ray, occluders, work);
             }
@@ -262,7 +269,6 @@ impl Casters<'_> {
                     occluders.nearby.push(item, ball.center, ball.radius);
                 }
             });
-            occluders.is_mixed = occluders.nearby.items.iter().any(|&item| !instances[item as usize].is_opaque_solid());
         }
         occluders.relate(&Region { p, normal: place.normal, reach, depth });
     }
@@ -283,46 +289,55 @@ impl Casters<'_> {
         let reach = self.reach(&split, ray);
         let line = Line::cone(place.p.as_vec3(), direction, slope);
         occluders.find_candidates(direction);
-        let Occluders { nearby, is_mixed, toward: [x, y, z], squared, candidates, .. } = occluders;
+        let Occluders { nearby, toward: [x, y, z], squared, radius, candidates, .. } = occluders;
         let mut sum = ConeSum::NEW;
-        let mut waiting = candidates.len();
-        while let Some(nearest) = take_nearest(&mut candidates[..waiting]) {
-            if nearest.x >= sum.opaque.x && !*is_mixed {
-                break;
-            }
-            waiting -= 1;
+        // The fraction that opaque instances let pass.
+        let mut passes = 1.0f32;
+        for row in 0..candidates.len() {
+            let nearest = candidates[row];
             let i = nearest.index as usize;
             let item = nearby.items[i];
             let instance = &self.scene.instances[item as usize];
-            let x_limit = sum.x_limit(instance);
             let bounds = &self.scene.boxes[item as usize];
-            if nearest.x >= x_limit || line.span(bounds.min, bounds.max, reach).is_none() {
+            if nearest.x >= 1.0 || line.span(bounds.min, bounds.max, reach).is_none() {
+                continue;
+            }
+            let along = Vec3::new(x[i], y[i], z[i]).dot(direction);
+            // Inside a ball the radius is 0.
+            let covered = match radius[i] {
+                0.0 => 1.0,
+                radius => covered_by_ball(along, squared[i], radius, nearest.x),
+            };
+            if covered <= LEAST_BALL && instance.is_opaque_solid() {
+                passes *= 1.0 - BALL_SHARE * covered;
                 continue;
             }
             // The own field is evaluated from a point that is moved off the surface.
             let moved = if item == place.own { bias(instance, place) } else { 0.0 };
-            let ball = BallAhead {
-                along: Vec3::new(x[i], y[i], z[i]).dot(direction),
-                squared: squared[i],
-                radius: self.scene.balls()[item as usize].radius + moved,
-            };
+            let ball =
+                BallAhead { along, squared: squared[i], radius: self.scene.balls()[item as usize].radius + moved };
             let wide = WideCone { beside: Beside { nearby, candidates, slope }, least_x: nearest.x, ball };
             let mut found = 1.0f32;
+            let mut own = ConeSum::NEW;
             for caster in self.casters(item, place, ray, &split) {
-                found = found.min(self.add_cone(&caster, cone, x_limit, Some(&wide), &mut sum, work).x);
+                let into = if instance.is_opaque_solid() { &mut own } else { &mut sum };
+                found = found.min(self.add_cone(&caster, cone, 1.0, Some(&wide), into, work).x);
             }
-            if sum.opaque.x <= -1.0 {
-                break;
+            if instance.is_opaque_solid() {
+                passes *= beside_others(own.opaque.x, nearest.x, covered);
+                if passes <= 0.0 {
+                    break;
+                }
             }
             // Behind the start of a far field a cone and a ray in it end at different positions.
             if self.far.is_none() {
-                candidates[waiting].x = nearest.x.max(clearance(found.min(x_limit)));
+                candidates[row].x = nearest.x.max(clearance(found));
             }
         }
         let wide = WideCone { beside: Beside { nearby, candidates, slope }, least_x: -1.0, ball: BallAhead::ENDLESS };
         let is_far = self.add_far(&split, cone, Some(&wide), &mut sum, work);
         work.count(is_far);
-        sum.share().share
+        passes * sum.share().share
     }
 }
 
@@ -368,13 +383,6 @@ mod tests {
                 let width = 0.1 * t / (1.0 + offset * offset).sqrt();
                 prop_assert!(visited.contains(&i) || (center - p - t * past).length() >= (radius + width) * (1.0 - 1e-3));
             }
-            let (mut least, mut waiting) = (f32::NEG_INFINITY, occluders.candidates.len());
-            while let Some(candidate) = take_nearest(&mut occluders.candidates[..waiting]) {
-                prop_assert!(candidate.x >= least);
-                least = candidate.x;
-                waiting -= 1;
-            }
-            prop_assert_eq!(waiting, 0);
         }
     }
 }

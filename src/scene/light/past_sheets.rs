@@ -20,7 +20,7 @@
 use super::light_rays::{LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
 use super::lit_surface::{Lights, LitSurface};
 use super::mesh_rays::is_skipped;
-use super::occlusion::AO_SLOPE;
+use super::occlusion::AO_TANGENT;
 use super::shadow::Casters;
 use crate::scene::content::instance::Instance;
 use crate::scene::content::model::Scene;
@@ -159,7 +159,7 @@ impl Casters<'_> {
         let place = &surface.place;
         if let Some(distance) = options.occlusion {
             for (ray, _) in place.open_rays(distance / self.scene.scale) {
-                shares.push(self.scene.cone_past_sheets(place, &ray, AO_SLOPE, &mut work));
+                shares.push(self.scene.cone_past_sheets(place, &ray, AO_TANGENT, &mut work));
             }
         }
         for light in &lights.lights {

@@ -173,7 +173,9 @@ impl<'a> Casters<'a> {
         sum: &mut ConeSum,
         work: &mut LightWork,
     ) -> Cone {
-        if let Some(found) = self.add_thin(caster, cone, sum, work) {
+        // The slope of a wide cone is a sine; rays in it need the tangent.
+        let slope = if wide.is_some() { cone.slope / (1.0 - cone.slope * cone.slope).sqrt() } else { cone.slope };
+        if let Some(found) = self.add_thin(caster, LightCone { slope, ..cone }, sum, work) {
             return found;
         }
         let found = match wide {
