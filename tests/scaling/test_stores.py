@@ -160,7 +160,8 @@ def test_shards_that_turned_out_to_be_outside_are_not_computed_again(mesh, tmp_p
 
 #: A bake that waits after its first shards, so that a signal arrives before its end.
 SLOW = """
-import sys, time, fieldbake as fb
+import signal, sys, time, fieldbake as fb
+signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs of a shell ignore the signal
 knot = fb.models.torus_knot(segments=48, sides=6)
 def report(share):
     print(share, flush=True)

@@ -46,7 +46,8 @@ class Frame:
     normal : (h, w, 3) float32
         Unit normal of the surface, world space; zero for pixels without a hit.
     object_id : (h, w) int32
-        Index of the visible object; -1 for pixels without a hit.
+        Index of the visible object; -1 for pixels without a hit. `depth`, `normal`, `object_id` and `shadow` belong to
+        the first surface that hides at least half of what is behind it.
     shadow : (h, w) or (h, w, lights) float32
         Fraction of the light that arrives: 1 is lit, 0 is in shadow.
     steps : (h, w) uint32

@@ -369,7 +369,7 @@ def extrude(
         shrunk as by :meth:`Profile.offset`.
     chamfer : float or two floats, default 0
         Length that a chamfer of 45 degrees takes off the sides and off the ends, world units: for both ends, or for the
-        lower and the upper end.
+        lower and the upper end. With a taper both lengths are ``chamfer / cos(taper_deg)``.
     twist_deg : float, default 0
         Angle from the lower end to the upper end, degrees, right-handed. The section at z = 0 is not turned.
 
