@@ -172,7 +172,9 @@ fn bound_range(index: u32, p: vec3f) -> Range {
     if !is_in_hull || all_positive {
         let by_hull = add_squares(length_range(length((q - in_hull) * h), off), square_range(grid, in_hull, error));
         let by_inner = add_squares(to_inner, square_range(grid, in_inner, error));
-        bound.low = max(bound.low, sqrt(max(by_hull.low, by_inner.low)) * (1.0 - ROUNDING));
+        let squared = max(by_hull.low, by_inner.low);
+        // In a cell whose corners are positive, 0 states nothing: the point may be inside a thin part.
+        if !is_in_hull || squared > 0.0 { bound.low = max(bound.low, sqrt(squared) * (1.0 - ROUNDING)); }
         bound.high = max(bound.high, sqrt(max(by_hull.high, by_inner.high)) * (1.0 + ROUNDING));
     }
     // The distance to the box of the surface is a bound only outside that box. Where rounding leaves the side open, the

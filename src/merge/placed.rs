@@ -139,8 +139,11 @@ fn signed_bound(field: &FieldView<'_>, inner: [DVec3; 2], is_cut: bool, p: DVec3
     let unsigned = || field.unsigned_bound(p, inner);
     if !is_cut {
         let to_inner = distance_to_box(p, inner);
-        let bound =
-            if cell.in_hull && !cell.all_positive { cell.by_distance } else { cell.by_distance.max(unsigned()) };
+        let bound = match unsigned() {
+            // In a cell whose corners are positive, 0 states nothing: the point may be inside a thin part.
+            bound if cell.in_hull && !(cell.all_positive && bound > 0.0) => cell.by_distance,
+            bound => cell.by_distance.max(bound),
+        };
         return if to_inner > 0.0 { bound.max(to_inner) } else { bound };
     }
     let to_box = distance_to_box(p, [field.grid().lower, field.grid().upper]);

@@ -28,6 +28,19 @@ def test_no_sample_is_above_the_distance_to_the_union(seed):
     assert (value - distance).max() <= exactness(instances)
 
 
+@pytest.mark.parametrize("seed", [27, 28, 29])
+def test_no_sample_is_above_the_distance_within_sharp_edges(seed, device):
+    # Between eight samples outside a tooth there may be points inside it.
+    gear = fb.models.gear(teeth=6)
+    transform = np.eye(4)
+    transform[:3, :3] = meshes.rotation(seed)
+
+    field = fb.merge([(gear, transform)], 64, device=device)
+
+    distance = fb.signed_distance([(gear, transform)], centers(field), dtype="float64")
+    assert (field.distances.reshape(-1) - distance).max() <= 1e-5
+
+
 def test_a_hundred_thousand_points_between_the_samples(random):
     instances, triangles = random_scene(random, 9)
     field = fb.merge(instances, 64)
