@@ -4,11 +4,17 @@ use glam::{DVec2, DVec3};
 
 /// Divides a polygon into triangles of its corners, as rows of `corners`. A convex polygon is a fan from its first
 /// corner. From any other one ears are cut off, triangles of three consecutive corners that contain no other corner
-/// (G. Meisters, "Polygons have ears", 1975). A polygon that is not flat is seen along the normal of its area vector,
-/// and one that crosses itself may end as a fan.
+/// (G. Meisters, "Polygons have ears", 1975). A polygon that is not flat is projected along its area vector, and one
+/// that crosses itself may end as a fan.
 pub(crate) fn triangulate(corners: &[DVec3]) -> Vec<[usize; 3]> {
     let rest: Vec<usize> = (0..corners.len()).collect();
-    let flat = seen_along_normal(corners);
+    // Most polygons are quadrilaterals whose two triangles have one orientation.
+    if let [a, b, c, d] = *corners
+        && (b - a).cross(c - a).dot((c - a).cross(d - a)) > 0.0
+    {
+        return fan(&rest);
+    }
+    let flat = projected_along_normal(corners);
     let turns = |a: usize, b: usize, c: usize| (flat[b] - flat[a]).perp_dot(flat[c] - flat[b]);
     let n = corners.len();
     if (0..n).all(|i| turns((i + n - 1) % n, i, (i + 1) % n) >= 0.0) {
@@ -25,7 +31,7 @@ pub(crate) fn triangulate(corners: &[DVec3]) -> Vec<[usize; 3]> {
             let [a, b, c] = triangle(*i);
             turns(a, b, c) > 0.0 && rest.iter().all(|&p| is_same(p, [a, b, c]) || !contains([a, b, c], p))
         };
-        // A corner on a straight edge has no area, and is cut off if nothing else is left.
+        // A corner on a straight edge has no area, and is cut off if there is no ear.
         let is_straight = |i: &usize| {
             let [a, b, c] = triangle(*i);
             turns(a, b, c) == 0.0
@@ -43,7 +49,7 @@ fn fan(corners: &[usize]) -> Vec<[usize; 3]> {
 }
 
 /// The corners in the plane of the polygon, in which it is counter-clockwise.
-fn seen_along_normal(corners: &[DVec3]) -> Vec<DVec2> {
+fn projected_along_normal(corners: &[DVec3]) -> Vec<DVec2> {
     let origin = corners.first().copied().unwrap_or_default();
     let pairs = corners.windows(2);
     let normal = pairs.map(|pair| (pair[0] - origin).cross(pair[1] - origin)).sum::<DVec3>();
