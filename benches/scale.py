@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 import fieldbake as fb
-from fieldbake.scaling import shard_plan, shards, store
-from fieldbake.scaling.zarr_bake import _checked_layout
+from fieldbake.scaling.stores import shard_plan, shards, store
+from fieldbake.scaling.stores.zarr_bake import _checked_layout
 from measuring import peak_mib, reset_peak
 
 

@@ -80,15 +80,15 @@ from .queries.sampling import (
     thickness as thickness,
 )
 from .scaling.library import bake_many as bake_many
-from .scaling.zarr_bake import bake_to_zarr as bake_to_zarr
-from .scaling.zarr_volume import ZarrVolume as ZarrVolume, open_zarr as open_zarr
+from .scaling.stores.zarr_bake import bake_to_zarr as bake_to_zarr
+from .scaling.stores.zarr_volume import ZarrVolume as ZarrVolume, open_zarr as open_zarr
 from .scenes.camera import Camera as Camera
 from .scenes.gltf import load_scene as load_scene
 from .scenes.instance import Instance as Instance
 from .scenes.lights import DirectionalLight as DirectionalLight, PointLight as PointLight, SpotLight as SpotLight
 from .scenes.materials import Material as Material
 from .scenes.scene import Scene as Scene
-from .shapes.lettering import text as text
+from .shapes.outlines.lettering import text as text
 from .shapes.primitives import (
     box as box,
     box_frame as box_frame,

@@ -30,7 +30,7 @@ from .queries.common import Sign
 from .scaling import content, library
 from .scaling import recipes as catalogue
 from .scaling.recipes import Recipe
-from .scaling.store import import_zarr
+from .scaling.stores.store import import_zarr
 
 __all__ = ["Dataset", "Recipe", "recipes", "sample", "sample_many"]
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import fieldbake as fb
-from fieldbake.files.openvdb_reader import unpack_blosc
+from fieldbake.files.grids.openvdb_reader import unpack_blosc
 
 blosc = pytest.importorskip("numcodecs.blosc")
 

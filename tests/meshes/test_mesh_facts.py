@@ -183,7 +183,7 @@ def test_a_failed_save_leaves_the_file(tmp_path, monkeypatch):
     path = tmp_path / "a.obj"
     path.write_text("before")
     mesh = fb.Mesh(*meshes.box())
-    monkeypatch.setattr("fieldbake.meshes.export._write_obj", lambda *_: (_ for _ in ()).throw(OSError("full")))
+    monkeypatch.setattr("fieldbake.meshes.formats.export._write_obj", lambda *_: (_ for _ in ()).throw(OSError("full")))
 
     with pytest.raises(OSError, match="full"):
         mesh.save(path)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import fieldbake as fb
 from damage import damaged
-from fieldbake.meshes.plain_files import read_plain
+from fieldbake.meshes.formats.plain_files import read_plain
 
 CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1))
 QUADS = "f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n"

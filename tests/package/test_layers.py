@@ -18,6 +18,9 @@ PACKAGE = ROOT / "python" / "fieldbake"
 
 PUBLIC_MODULES = ("arrays", "cache", "csg", "jax", "models", "mujoco", "newton", "torch", "training")
 
+#: Largest number of modules in a folder.
+LARGEST_FOLDER = 16
+
 #: Most exceptions from the order of the packages.
 MOST_EXCEPTIONS = 11
 
@@ -124,6 +127,13 @@ def test_the_walker_sees_every_kind_of_import():
     assert ("fieldbake.volumes.volume", "fieldbake.drawing.plot") in edges  # in a function
     assert ("fieldbake.cli.application", "fieldbake") in edges  # import package
     assert circles({("a", "b"), ("b", "c"), ("c", "a"), ("c", "d")}) == [["a", "b", "c"]]
+
+
+def test_no_folder_is_too_large_to_read():
+    folders = [folder for folder in (PACKAGE, *PACKAGE.rglob("*")) if folder.is_dir()]
+    sizes = {folder.relative_to(PACKAGE): len(list(folder.glob("*.py"))) for folder in folders}
+    assert max(sizes.values()) > 10
+    assert {folder: size for folder, size in sizes.items() if size > LARGEST_FOLDER} == {}
 
 
 def test_no_modules_import_each_other_in_a_circle():

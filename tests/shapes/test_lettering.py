@@ -15,7 +15,7 @@ from fontTools.pens.t2CharStringPen import T2CharStringPen
 from fontTools.ttLib import TTFont
 
 import fieldbake as fb
-from fieldbake.shapes.fonts import Font
+from fieldbake.shapes.outlines.fonts import Font
 
 FOLDER = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
 FONTS = [FOLDER / name for name in ("DejaVuSans.ttf", "DejaVuSerif.ttf", "STIXGeneral.ttf")]

@@ -18,10 +18,10 @@ from ..queries.common import Sign
 from ..scaling.library import distinct_stems
 from ..volumes import writers
 from .application import app, err, show_rows
-from .folders import bake_folder
-from .saving import Encoding, Engine, check_encoding, save_field
-from .streams import check_output, input_file, is_stream, output_file
-from .tables import atlas_rows, volume_rows
+from .shared.folders import bake_folder
+from .shared.saving import Encoding, Engine, check_encoding, save_field
+from .shared.streams import check_output, input_file, is_stream, output_file
+from .shared.tables import atlas_rows, volume_rows
 
 #: Endings of meshes that can be written.
 MESHES = (".stl", ".obj", ".ply", ".glb", ".3mf")

@@ -17,9 +17,9 @@ from ..meshes.convert import HEAD_BYTES
 from ..points.files import READERS
 from .application import app, show_rows
 from .commands import MESHES
-from .saving import Encoding, Engine, check_encoding, save_field
-from .streams import check_output, input_file, is_stream, output_file
-from .tables import facts_of, rows_of
+from .shared.saving import Encoding, Engine, check_encoding, save_field
+from .shared.streams import check_output, input_file, is_stream, output_file
+from .shared.tables import facts_of, rows_of
 
 #: Endings of all fields and atlases.
 FIELDS = tuple(dict.fromkeys(ending for kind in ENDINGS.values() for ending in kind))

@@ -13,7 +13,7 @@ from ..files.registry import ENDINGS
 from ..slicing import files
 from .application import app, err, show_rows
 from .commands import Device, parse_bounds
-from .streams import check_output
+from .shared.streams import check_output
 
 
 def parse_pixel(text: str) -> list[float]:

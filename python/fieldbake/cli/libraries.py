@@ -12,7 +12,7 @@ from ..queries.sampling import SampleType
 from ..scaling.library import sample_many
 from ..scaling.recipes import RECIPES
 from .application import app, err
-from .folders import finish
+from .shared.folders import finish
 
 #: Values of options for runs without a recipe. A recipe has its own numbers.
 DEFAULTS = {"n": 500_000, "uniform": 0.1, "dtype": "float64", "normalize": None}

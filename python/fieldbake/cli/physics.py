@@ -20,7 +20,7 @@ from ..physics.closing import closed_mesh, has_one_side
 from ..physics.models import MAX_DEPTH, mesh_in_file
 from .application import app, show_rows
 from .commands import MESHES, parse_bounds, resolution_option
-from .streams import check_clobber, check_output
+from .shared.streams import check_clobber, check_output
 
 
 @app.command()

@@ -17,8 +17,8 @@ from ..files.registry import ENDINGS
 from . import demo as demonstration
 from .application import app, err, out
 from .commands import MESHES, Device, Resolution, parse_vector
-from .picture_options import Size, with_picture_options
-from .streams import check_clobber, check_output
+from .shared.picture_options import Size, with_picture_options
+from .shared.streams import check_clobber, check_output
 
 
 @app.command()

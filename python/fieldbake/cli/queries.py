@@ -18,7 +18,7 @@ from ..queries.common import Sign
 from ..surfaces.report import thinnest_part
 from .application import app, show_rows, show_warning
 from .commands import Device
-from .streams import check_output, input_file, is_stream, output_file
+from .shared.streams import check_output, input_file, is_stream, output_file
 
 #: Names of the columns of a result.
 COLUMNS = (

@@ -12,7 +12,7 @@ import fieldbake as fb
 from ..files.registry import ENDINGS
 from .application import app, show_rows
 from .commands import MESHES, parse_vector, resolution_option
-from .streams import check_output
+from .shared.streams import check_output
 
 Output = Annotated[Path, typer.Option("--output", "-o", help="The mesh file to write: .stl, .obj, .ply, .glb or .3mf.")]
 Resolution = Annotated[Any, resolution_option(256)]

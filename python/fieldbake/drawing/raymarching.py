@@ -16,7 +16,7 @@ from ..base.errors import ArgumentError, SceneError
 from ..base.former_names import former_names
 from ..base.progress import Progress, progress_callback
 from ..merging.nested import NestedField
-from ..scaling.zarr_volume import ZarrVolume
+from ..scaling.stores.zarr_volume import ZarrVolume
 from ..scenes.camera import Camera
 from ..scenes.instance import Instance
 from ..scenes.lights import AMBIENT, BACKGROUND, DirectionalLight, Light, PointLight, SpotLight, key_light

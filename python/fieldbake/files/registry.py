@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..base.errors import FormatError
-from . import container, exr, level_sets, nrrd, png, texture_files, vector_field, vti
+from . import container, exr, png, texture_files
 from .container import listed
 from .formats import Format
+from .grids import level_sets, nrrd, vector_field, vti
 
 #: The formats in the order of messages and help texts.
 FORMATS: tuple[Format, ...] = (

@@ -22,7 +22,7 @@ from ..base.report import Report
 from ..files import sidecar
 from ..files.container import read_facts
 from ..files.formats import Format, Pages, Texels
-from ..files.grid_samples import GridSamples
+from ..files.grids.grid_samples import GridSamples
 from ..volumes.quantized import QuantizedVolume
 from ..volumes.stored_samples import check_distances
 from ..volumes.volume import Volume

@@ -23,14 +23,14 @@ from .. import _core
 from ..base import checks
 from ..base.errors import MeshError
 from ..base.former_names import former_names
-from .gltf_materials import Document
+from .formats.gltf_materials import Document
+from .formats.plain_files import read_plain
+from .formats.ply_strips import with_strips
+from .formats.referenced_files import resolver_beside
 from .input_arrays import check_colors, check_faces, check_uv, check_vertices
 from .interop import is_cloud, triangles_of
 from .mesh import Mesh
 from .part import ALPHA_MODES, Part
-from .plain_files import read_plain
-from .ply_strips import with_strips
-from .referenced_files import resolver_beside
 
 #: Type of every argument for a mesh: a Mesh, a path, a trimesh.Trimesh or trimesh.Scene, (vertices, faces), or a list
 #: of these, each optionally as (object, transform).

@@ -17,7 +17,7 @@ from ..base.optional import optional_module
 from ..base.report import SurfaceReport
 from ..base.viewable import Viewable
 from . import measures
-from .export import save_mesh
+from .formats.export import save_mesh
 from .input_arrays import check_colors, check_faces, check_uv, check_vertices
 from .part import Part, check_parts, material_of
 from .section import Section, Sectioned, mesh_sections

@@ -22,7 +22,7 @@ from . import content, executors, recipes, records, results
 from .process import Child, Portable, UnsendableError
 from .recipes import Recipe
 from .results import Asset, process
-from .store import import_zarr
+from .stores.store import import_zarr
 
 #: The function of each kind of run, and the options of that function, which all items share.
 OPTIONS: dict[str, tuple[str, tuple[str, ...]]] = {

@@ -26,7 +26,7 @@ from ..queries.sampling import TrainingSamples, count_uncertain, draw_training
 from ..volumes import writers
 from ..volumes.volume import Volume
 from . import content, recipes
-from .store import import_zarr
+from .stores.store import import_zarr
 
 #: Half width of the band of normalised encodings in .npz files, voxels.
 BAND = 4.0

@@ -15,7 +15,7 @@ from ..base.former_names import former_names
 from ..merging.nested import NestedField
 from ..meshes.convert import as_mesh
 from ..meshes.mesh import Mesh
-from ..scaling.zarr_volume import ZarrVolume
+from ..scaling.stores.zarr_volume import ZarrVolume
 from ..shapes.quadric import Quadric, bounds_of, check_quadrics, is_quadrics
 from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume

@@ -18,7 +18,7 @@ from ..base.progress import Progress, part, watched
 from ..base.viewable import Viewable
 from ..files.container import check_target
 from ..meshes.convert import MeshLike
-from ..meshes.export import mesh_kind
+from ..meshes.formats.export import mesh_kind
 from ..meshes.isosurface import ShapeSource, extract, with_thin_walls
 from ..meshes.mesh import Mesh
 from ..meshes.section import Section, Sectioned, field_sections, frames

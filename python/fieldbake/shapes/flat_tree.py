@@ -9,7 +9,7 @@ from functools import reduce
 import numpy as np
 
 from .. import _core
-from .curves import Array, circle_points
+from .outlines.curves import Array, circle_points
 from .shape import Shape, combine
 
 #: Height of a subtracted profile over the height of the extrusion, so that its end faces are far from the solid.

@@ -17,10 +17,10 @@ from ..base.former_names import former_names
 from ..files.svg import svg_path, svg_text
 from . import sweeping
 from .arguments import number, numbers
-from .curves import Array
 from .flat_tree import Combined, Leaf, Tree, polygon_leaf
+from .outlines.curves import Array
+from .outlines.svg_paths import svg_loops
 from .shape import Shape
-from .svg_paths import svg_loops
 
 #: The public names; the package exports all of them.
 __all__ = ["Profile", "circle", "extrude", "polygon", "rectangle", "revolve"]

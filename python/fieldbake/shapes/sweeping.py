@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..base import checks
 from ..base.errors import ShapeError
 from .arguments import number
-from .curves import Array
+from .outlines.curves import Array
 from .primitives import plane
 from .shape import Shape, combine
 

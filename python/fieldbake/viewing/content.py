@@ -22,7 +22,7 @@ from ..drawing.raymarching import PICTURE_RESOLUTION, raymarch
 from ..files.compression import gzip_pieces
 from ..meshes.mesh import Mesh
 from ..meshes.part import Part
-from ..scaling.zarr_volume import ZarrVolume
+from ..scaling.stores.zarr_volume import ZarrVolume
 from ..scenes import field_cache
 from ..scenes.camera import Camera
 from ..scenes.instance import Instance

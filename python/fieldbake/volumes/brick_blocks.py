@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _core
-from ..files.band_blocks import SIDE, BandBlocks
+from ..files.grids.band_blocks import SIDE, BandBlocks
 
 #: Cells along the side of a brick.
 CELLS = 7

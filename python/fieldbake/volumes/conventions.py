@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base import checks
-from ..files.band_blocks import SIDE, BandBlocks
+from ..files.grids.band_blocks import SIDE, BandBlocks
 
 Engine = Literal["unity", "unreal", "godot", "blender", "three"]
 Handedness = Literal["right", "left"]

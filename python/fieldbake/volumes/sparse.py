@@ -17,8 +17,8 @@ from ..base.loadable import Loadable
 from ..base.progress import Progress, progress_callback
 from ..base.report import Report, bytes_text
 from ..files import container, registry
-from ..files.band_blocks import BandBlocks
 from ..files.formats import head
+from ..files.grids.band_blocks import BandBlocks
 from ..meshes.isosurface import Source
 from . import writers
 from .brick_blocks import blocks_of_bricks, decoded

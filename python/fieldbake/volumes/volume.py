@@ -17,8 +17,8 @@ from ..base.loadable import Loadable
 from ..base.progress import Progress
 from ..base.report import Report, bytes_text
 from ..files import container, registry
-from ..files.band_blocks import BandBlocks, blocks_of_grid
 from ..files.formats import head
+from ..files.grids.band_blocks import BandBlocks, blocks_of_grid
 from ..meshes.convert import MeshLike
 from ..meshes.isosurface import Source
 from ..meshes.mesh import Mesh

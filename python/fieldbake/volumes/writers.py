@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from ..base import checks
 from ..base.errors import ArgumentError
 from ..files import container, flipbook, registry
-from ..files.band_blocks import BandBlocks
 from ..files.formats import FieldFile
+from ..files.grids.band_blocks import BandBlocks
 from .conventions import Convention, convention
 from .grid_field import GridField
 

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import ArgumentError, FormatError
-from . import nanovdb, nanovdb_reader, openvdb, openvdb_reader, sidecar
+from ...base.errors import ArgumentError, FormatError
+from .. import sidecar
+from ..container import atomic_write, read_facts
+from ..formats import WRITER, FieldFile, Format
+from . import nanovdb, nanovdb_reader, openvdb, openvdb_reader
 from .band_blocks import BandBlocks
-from .container import atomic_write, read_facts
-from .formats import WRITER, FieldFile, Format
 from .grid_samples import GridSamples
 from .openvdb_reader import VdbGrid
 

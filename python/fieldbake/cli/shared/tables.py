@@ -6,8 +6,8 @@ from typing import Any
 
 import fieldbake as fb
 
-from ..base.encodings import texel_rule
-from ..base.report import bytes_text
+from ...base.encodings import texel_rule
+from ...base.report import bytes_text
 
 
 def box_text(bounds: Any) -> str:

@@ -18,10 +18,10 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import ArgumentError, FormatError
-from . import sidecar
-from .cursor import Cursor
-from .formats import FieldFile, Format
+from ...base.errors import ArgumentError, FormatError
+from .. import sidecar
+from ..cursor import Cursor
+from ..formats import FieldFile, Format
 from .grid_samples import GridSamples, as_samples, checked_count
 
 MAGIC = b"VF_F"

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
-from ..base.grid import Grid
-from ..meshes.mesh import Mesh
+from ... import _core
+from ...base.grid import Grid
+from ...meshes.mesh import Mesh
 from .layout import Layout
 
 #: Largest number of equal blocks of shards that cover the grid at the start. Only blocks near the surface are divided.

@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 from typing import Literal
 
-from ..base import checks
-from ..base.errors import ShapeError
-from .arguments import number
+from ...base import checks
+from ...base.errors import ShapeError
+from ..arguments import number
+from ..profiles import Profile, region
 from .curves import Array
 from .fonts import Font
-from .profiles import Profile, region
 
 #: The public names; the package exports all of them.
 __all__ = ["text"]

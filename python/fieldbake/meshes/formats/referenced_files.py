@@ -6,8 +6,8 @@ import posixpath
 from pathlib import Path
 from typing import Any
 
-from ..base import checks
-from ..base.errors import MeshError
+from ...base import checks
+from ...base.errors import MeshError
 
 
 def resolver_beside(file: Path) -> Any:

@@ -12,9 +12,9 @@ from rich.markup import escape
 
 import fieldbake as fb
 
-from ..base.notices import about_surface
-from ..scaling import records
-from .application import err, out
+from ...base.notices import about_surface
+from ...scaling import records
+from ..application import err, out
 
 
 def bake_folder(

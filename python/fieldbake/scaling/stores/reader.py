@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import FormatError
+from ...base.errors import FormatError
 from .layout import Layout, path_of, shard_key
 from .store import REPAIR, Place, checked_array, read_array, reading, size_of, stored_keys
 

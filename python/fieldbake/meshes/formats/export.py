@@ -10,10 +10,10 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base import checks
-from ..base.errors import MeshError
-from ..files import package_3mf
-from ..files.container import atomic_write
+from ...base import checks
+from ...base.errors import MeshError
+from ...files import package_3mf
+from ...files.container import atomic_write
 
 Vertices = NDArray[np.float64]
 Faces = NDArray[np.uint32]

@@ -19,12 +19,12 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import FormatError
-from . import sidecar
-from .compression import inflate
-from .container import MAX_HEADER_BYTES, atomic_write
-from .cursor import Cursor
-from .formats import FieldFile, Format
+from ...base.errors import FormatError
+from .. import sidecar
+from ..compression import inflate
+from ..container import MAX_HEADER_BYTES, atomic_write
+from ..cursor import Cursor
+from ..formats import FieldFile, Format
 from .grid_samples import GridSamples, as_samples, checked_count, samples_of
 
 NAME = "distances"

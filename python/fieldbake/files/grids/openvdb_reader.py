@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import CapacityError, Error, FormatError
-from ..base.optional import optional_module
+from ...base.errors import CapacityError, Error, FormatError
+from ...base.optional import optional_module
+from ..compression import inflate
+from ..cursor import Cursor
 from .band_blocks import SIDE
-from .compression import inflate
-from .cursor import Cursor
 from .openvdb import ACTIVE_MASK, BLOSC, HALF_SUFFIX, LOWER, LOWER_VOXELS, MAGIC, TREE, UPPER, UPPER_VOXELS, ZIP
 
 #: Versions with this layout. OpenVDB 2 wrote the first of them.

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from .. import _core
-from ..base import encodings
-from ..base.threads import set_threads
-from ..meshes.mesh import Mesh
+from ... import _core
+from ...base import encodings
+from ...base.threads import set_threads
+from ...meshes.mesh import Mesh
 from .layout import Layout, path_of
 from .shard_plan import Blocks, samples_in_band
 from .store import Place, read_mesh

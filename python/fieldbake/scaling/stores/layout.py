@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from .. import _core
-from ..base import checks, encodings
-from ..base.errors import Error, FormatError
-from ..base.grid import Grid
+from ... import _core
+from ...base import checks, encodings
+from ...base.errors import Error, FormatError
+from ...base.grid import Grid
 
 #: Version of the layout.
 VERSION = 1

@@ -9,10 +9,10 @@ import typer
 
 import fieldbake as fb
 
-from ..base import encodings
-from ..base.encodings import TextureEncoding
-from ..files.registry import ENDINGS, format_of
-from ..volumes import conventions, writers
+from ...base import encodings
+from ...base.encodings import TextureEncoding
+from ...files.registry import ENDINGS, format_of
+from ...volumes import conventions, writers
 
 Encoding = TextureEncoding
 Engine = Annotated[

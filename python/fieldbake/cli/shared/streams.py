@@ -18,9 +18,9 @@ import typer
 
 import fieldbake as fb
 
-from ..files.container import check_target, listed
-from ..files.registry import FORMATS
-from .application import Clobber
+from ...files.container import check_target, listed
+from ...files.registry import FORMATS
+from ..application import Clobber
 
 #: First bytes of files, and the endings of their names: fields, atlases and meshes.
 _SIGNATURES = (

@@ -13,11 +13,11 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import FormatError
-from . import sidecar
-from .compression import GZIP_WINDOW, gzip_pieces, inflate
-from .container import MAX_HEADER_BYTES, atomic_write
-from .formats import FieldFile, Format
+from ...base.errors import FormatError
+from .. import sidecar
+from ..compression import GZIP_WINDOW, gzip_pieces, inflate
+from ..container import MAX_HEADER_BYTES, atomic_write
+from ..formats import FieldFile, Format
 from .grid_samples import GridSamples, as_samples, checked_count, samples_of
 
 #: Element types by their names in the format; aliases follow C.

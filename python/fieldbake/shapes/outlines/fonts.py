@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..base import checks
-from ..base.errors import ShapeError
-from ..base.optional import optional_module
+from ...base import checks
+from ...base.errors import ShapeError
+from ...base.optional import optional_module
 from .curves import TOLERANCE, Array, bezier_points
 
 

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _core
-from ..base import checks, encodings
-from ..base.errors import ArgumentError, Error, FormatError
-from ..base.optional import optional_module
-from ..meshes.mesh import Mesh, restore
-from . import content
+from ... import _core
+from ...base import checks, encodings
+from ...base.errors import ArgumentError, Error, FormatError
+from ...base.optional import optional_module
+from ...meshes.mesh import Mesh, restore
+from .. import content
 from . import layout as layouts
 from .layout import Layout
 

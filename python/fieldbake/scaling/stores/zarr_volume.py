@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import _core
-from ..base import checks, encodings
-from ..base.errors import ArgumentError, FormatError
-from ..base.optional import optional_module
-from ..base.report import bytes_text
-from ..files.container import read_report
-from ..meshes.isosurface import MeshSource, Source
-from ..meshes.mesh import Mesh
-from ..volumes.grid_field import GridField
-from ..volumes.level_set_blocks import SIDE
-from ..volumes.quantized import QuantizedVolume
-from ..volumes.sparse import SparseVolume, restore_field
-from ..volumes.volume import Volume
+from ... import _core
+from ...base import checks, encodings
+from ...base.errors import ArgumentError, FormatError
+from ...base.optional import optional_module
+from ...base.report import bytes_text
+from ...files.container import read_report
+from ...meshes.isosurface import MeshSource, Source
+from ...meshes.mesh import Mesh
+from ...volumes.grid_field import GridField
+from ...volumes.level_set_blocks import SIDE
+from ...volumes.quantized import QuantizedVolume
+from ...volumes.sparse import SparseVolume, restore_field
+from ...volumes.volume import Volume
 from . import store as stores
 from .layout import Layout, path_of
 from .reader import Reader
@@ -341,7 +341,7 @@ class ZarrVolume(GridField):
 
     def raymarch(self, camera: Any = None, **options: Any) -> Any:
         """Draw the surface; arguments and result as for :func:`fieldbake.raymarch`."""
-        from ..drawing.raymarching import raymarch
+        from ...drawing.raymarching import raymarch
 
         return raymarch(self, camera, **options)
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import FormatError
+from ...base.errors import FormatError
+from ..cursor import Cursor
 from .band_blocks import SIDE
-from .cursor import Cursor
 from .nanovdb import (
     FLOAT,
     GRID_BYTES,

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import MaterialWarning
-from ..base.notices import warn
-from ..base.optional import optional_module
+from ...base.errors import MaterialWarning
+from ...base.notices import warn
+from ...base.optional import optional_module
 from .gltf_accessors import DRACO, check_accessors, uses_draco
 
 #: Names under which trimesh returns colours and sets of texture coordinates.

@@ -9,8 +9,8 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
-from ..drawing.rendering import Options
-from .commands import parse_size
+from ...drawing.rendering import Options
+from ..commands import parse_size
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 

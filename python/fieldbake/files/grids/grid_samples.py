@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import FormatError
-from .formats import FieldFile
+from ...base.errors import FormatError
+from ..formats import FieldFile
 
 
 @dataclass(frozen=True)

@@ -12,19 +12,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import _core
-from ..baking.dense import log_warnings, prepare, refuse_devices
-from ..base import checks, encodings
-from ..base.encodings import Encoding
-from ..base.errors import ArgumentError
-from ..base.grid import Resolution
-from ..base.progress import Progress, progress_callback
-from ..base.report import Report
-from ..base.threads import limited_threads
-from ..meshes.convert import MeshLike
-from ..meshes.mesh import Mesh
-from ..queries.common import Sign
-from . import content, executors, shard_plan, shards, store
+from ... import _core
+from ...baking.dense import log_warnings, prepare, refuse_devices
+from ...base import checks, encodings
+from ...base.encodings import Encoding
+from ...base.errors import ArgumentError
+from ...base.grid import Resolution
+from ...base.progress import Progress, progress_callback
+from ...base.report import Report
+from ...base.threads import limited_threads
+from ...meshes.convert import MeshLike
+from ...meshes.mesh import Mesh
+from ...queries.common import Sign
+from .. import content, executors
+from . import shard_plan, shards, store
 from .layout import MOST_SHARD, Layout, path_of, shard_key
 from .zarr_volume import ZarrVolume
 

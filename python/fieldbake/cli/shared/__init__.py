@@ -1,0 +1,1 @@
+"""Options, tables and files that several commands share."""

@@ -1,0 +1,1 @@
+"""Files of grids: VTI, NRRD, OpenVDB, NanoVDB and vector fields."""

@@ -1,0 +1,1 @@
+"""Fields in Zarr stores: their layout, the bake in shards, and samples."""

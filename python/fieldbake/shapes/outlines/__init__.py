@@ -1,0 +1,1 @@
+"""Outlines of profiles: curves, paths of SVG, and letters."""
