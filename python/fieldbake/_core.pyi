@@ -142,7 +142,11 @@ class Mesh:
 class Bodies:
     """The geometry of rigid bodies."""
 
-    def __new__(cls, count: int, elements: list[tuple[Any, ...]]) -> Bodies:
+    def __new__(
+        cls,
+        count: int,
+        elements: list[tuple[int, Mesh | Shape, list[list[float]], float, tuple[Shape, float] | None]],
+    ) -> Bodies:
         """``elements``: the body, the geometry, its transform (4, 4) to the body, the scale of the transform, and the
         shape whose triangles the geometry is with their largest deviation, or None."""
     @property

@@ -205,8 +205,8 @@ fn of_bodies(
             continue;
         }
         let places = [poses[0].after(&first.element.place), poses[1].after(&second.element.place)];
-        let found = of_elements(first, second, places, limit, options.relative_tolerance, progress);
-        match found {
+        let accuracy = Accuracy { limit, relative_tolerance: options.relative_tolerance };
+        match Pair::new([first, second], places).clearance(accuracy, progress) {
             Some(found) => {
                 least = least.min(found.distance - found.error);
                 if found.distance < best.distance {
@@ -216,191 +216,207 @@ fn of_bodies(
             None => least = least.min(limit),
         }
     }
-    if best.distance >= options.cutoff {
-        let distance = least.max(options.cutoff);
-        return Clearance { distance, ..far };
+    if best.distance >= options.cutoff && least >= options.cutoff {
+        return Clearance { distance: least, ..far };
     }
     best.error = (best.distance - least).max(0.0);
     best
 }
 
-/// The clearance of two posed geometries; none if it is certainly at least `limit`.
-///
-/// Where a geometry is the triangles of a shape, both differ by at most a deviation. The clearance of the triangles
-/// therefore bounds the clearance of the shapes from below. Projections onto the surfaces of the shapes begin at the
-/// result of the triangles, and their end bounds the clearance from above.
-fn of_elements(
-    first: &Prepared<'_>,
-    second: &Prepared<'_>,
+/// Two posed geometries. All is computed in the frame of the first one.
+struct Pair<'a> {
+    sets: [&'a Prepared<'a>; 2],
+    /// World from geometry.
     places: [Similarity; 2],
-    limit: f64,
-    relative_tolerance: f64,
-    progress: &Progress,
-) -> Option<Clearance> {
-    let sources = [first, second].map(|set| set.element.source.as_ref());
-    if sources.iter().all(Option::is_none) {
-        return of_geometries(first, second, places, limit, relative_tolerance, progress);
-    }
-    // A distance changes by at most the sum of both deviations, and twice a depth by twice the larger one.
-    let slack = sources.iter().flatten().fold(0.0_f64, |slack, (_, deviation)| slack.max(2.0 * deviation));
-    let found = of_geometries(first, second, places, limit + slack, relative_tolerance, progress)?;
-    let lower = found.distance - found.error - slack;
-    if lower >= limit {
-        return None;
-    }
-
-    let frames = [HERE, between(places)];
-    let solid = |i: usize| match sources[i] {
-        Some((shape, _)) => Solid::new(shape, frames[i], false),
-        None => Solid::new(&[first, second][i].element.geometry, frames[i], true),
-    };
-    let (mut a, mut b) = (solid(0), solid(1));
-    let center = places[0].inverse_point(DVec3::from_array(found.center));
-    let size = first.size().min(second.size()).min(1e30) + center.length();
-    let world = |points: [DVec3; 2]| points.map(|point| places[0].point(point));
-    let (distance, points, normal) = match project(&mut a, &mut b, center, size, ACCURACY * size) {
-        Some((p, q, apart, _)) => (apart, world([p, q]), (p - q) / apart),
-        // The solids have a common point. Fields are bounds of distances, also inside.
-        None => {
-            let depth = a.distance(center).max(b.distance(center)).min(0.0);
-            let ((gradient_a, p), (gradient_b, q)) = (a.gradient_and_point(center), b.gradient_and_point(center));
-            (2.0 * depth, world([p, q]), (gradient_b - gradient_a).try_normalize().unwrap_or(gradient_b))
-        }
-    };
-    Some(Clearance {
-        distance,
-        error: (distance - lower).max(0.0),
-        points: points.map(|point| point.to_array()),
-        normal: (places[0].rotation * normal).to_array(),
-        center: found.center,
-    })
+    /// Frame of the first geometry from geometry.
+    frames: [Similarity; 2],
 }
 
-/// The frame in which two geometries are compared: the frame of the first one.
-const HERE: Similarity = Similarity { rotation: glam::DMat3::IDENTITY, translation: DVec3::ZERO, scale: 1.0 };
-
-/// The pose of the second geometry in the frame of the first one.
-fn between(places: [Similarity; 2]) -> Similarity {
-    let back = places[0].rotation.transpose();
-    Similarity {
-        rotation: back * places[1].rotation,
-        translation: back * (places[1].translation - places[0].translation),
-        scale: 1.0,
-    }
-}
-
-/// [`of_elements`] for geometries as they are.
-fn of_geometries(
-    first: &Prepared<'_>,
-    second: &Prepared<'_>,
-    places: [Similarity; 2],
+/// Accuracy of a pair.
+#[derive(Clone, Copy)]
+struct Accuracy {
+    /// A clearance that is certainly at least this is not computed.
     limit: f64,
     relative_tolerance: f64,
-    progress: &Progress,
-) -> Option<Clearance> {
-    let (here, place) = (HERE, between(places));
-    let mut solids =
-        [Solid::new(&first.element.geometry, here, true), Solid::new(&second.element.geometry, place, true)];
-    let floor = FLOOR * first.size().min(second.size()).min(1e30);
-    let done = |distance: f64, error: f64, points: [DVec3; 2], normal: DVec3, center: DVec3| {
-        let [p, q, center] = [points[0], points[1], center].map(|point| places[0].point(point).to_array());
-        let normal = (places[0].rotation * normal).to_array();
-        Some(Clearance { distance, error, points: [p, q], normal, center })
-    };
-    let apart_by = |distance: f64, error: f64, points: [DVec3; 2], normal: DVec3| {
-        done(distance, error, points, normal, 0.5 * (points[0] + points[1]))
-    };
+}
 
-    let mut start = None;
-    if let (Some((a, radius_a)), Some((b, radius_b))) = (&first.triangles, &second.triangles) {
-        let (a, b, radii) = (a.set(), b.set(), radius_a + radius_b);
-        let nested = contains_start(&mut solids[1], a, &here, second, &place)
-            || contains_start(&mut solids[0], b, &place, first, &here);
-        if !nested {
-            let (apart, p, q) = distance([a, b], &place, limit + radii)?;
-            let n = (p - q).try_normalize();
-            if let (true, Some(n)) = (apart > radii, n) {
-                return apart_by(apart - radii, 0.0, [p - n * *radius_a, q + n * *radius_b], n);
-            }
-            // Balls and capsules: the largest ball of the overlap lies on the line of the closest points.
-            let is_thin = *radius_a > 0.0 && *radius_b > 0.0;
-            if let (true, Some(n)) = (is_thin && (radius_a - radius_b).abs() <= apart, n) {
-                return apart_by(apart - radii, 0.0, [p - n * *radius_a, q + n * *radius_b], n);
-            }
-            start = Some(0.5 * (p + q));
+impl<'a> Pair<'a> {
+    fn new(sets: [&'a Prepared<'a>; 2], places: [Similarity; 2]) -> Self {
+        let back = places[0].rotation.transpose();
+        let here = Similarity { rotation: glam::DMat3::IDENTITY, translation: DVec3::ZERO, scale: 1.0 };
+        let there = Similarity {
+            rotation: back * places[1].rotation,
+            translation: back * (places[1].translation - places[0].translation),
+            scale: 1.0,
+        };
+        Self { sets, places, frames: [here, there] }
+    }
+
+    /// Size of the smaller geometry.
+    fn size(&self) -> f64 {
+        self.sets[0].size().min(self.sets[1].size()).min(1e30)
+    }
+
+    /// A result in world space.
+    fn world(&self, distance: f64, error: f64, points: [DVec3; 2], normal: DVec3, center: DVec3) -> Clearance {
+        let [p, q, center] = [points[0], points[1], center].map(|point| self.places[0].point(point).to_array());
+        let normal = (self.places[0].rotation * normal).to_array();
+        Clearance { distance, error, points: [p, q], normal, center }
+    }
+
+    /// The clearance; none if it is certainly at least the limit.
+    ///
+    /// Where a geometry is the triangles of a shape, both differ by at most a deviation. The clearance of the triangles
+    /// therefore bounds the clearance of the shapes from below. Projections onto the surfaces of the shapes begin at
+    /// the result of the triangles, and their end bounds the clearance from above.
+    fn clearance(&self, accuracy: Accuracy, progress: &Progress) -> Option<Clearance> {
+        let sources = self.sets.map(|set| set.element.source.as_ref());
+        if sources.iter().all(Option::is_none) {
+            return self.of_geometries(accuracy, progress);
         }
+        // A distance changes by at most the sum of both deviations, and twice a depth by twice the larger one.
+        let slack = sources.iter().flatten().fold(0.0_f64, |slack, (_, deviation)| slack.max(2.0 * deviation));
+        let found = self.of_geometries(Accuracy { limit: accuracy.limit + slack, ..accuracy }, progress)?;
+        let lower = found.distance - found.error - slack;
+        if lower >= accuracy.limit {
+            return None;
+        }
+
+        let solid = |i: usize| match sources[i] {
+            Some((shape, _)) => Solid::new(shape, self.frames[i], false),
+            None => Solid::new(&self.sets[i].element.geometry, self.frames[i], true),
+        };
+        let (mut a, mut b) = (solid(0), solid(1));
+        let center = self.places[0].inverse_point(DVec3::from_array(found.center));
+        let size = self.size() + center.length();
+        let (distance, points, normal) = match project(&mut a, &mut b, center, size, ACCURACY * size) {
+            Some((p, q, apart, _)) => (apart, [p, q], (p - q) / apart),
+            // The solids have a common point. Fields are bounds of distances, also inside.
+            None => {
+                let depth = a.distance(center).max(b.distance(center)).min(0.0);
+                let (points, normal) = facing(&mut a, &mut b, center);
+                (2.0 * depth, points, normal)
+            }
+        };
+        Some(self.world(distance, (distance - lower).max(0.0), points, normal, center))
     }
 
-    let boxes = [first.posed_box(&here), second.posed_box(&place)];
-    let middle = |[lower, upper]: [DVec3; 2]| 0.5 * (lower + upper);
-    let start = start.or_else(|| Some(middle(boxes[1].or(boxes[0])?))).unwrap_or(DVec3::ZERO);
-    let [a, b] = &mut solids;
-    let size = first.size().min(second.size()).min(1e30) + start.length();
-    let projected = project(a, b, start, size, ACCURACY * size);
-    if let Some((p, q, apart, lower)) = projected
-        && apart - lower <= floor
-    {
-        return if lower >= limit { None } else { apart_by(apart, apart - lower, [p, q], (p - q) / apart) };
-    }
-    // A mesh and a convex shape.
-    let mut tangents = None;
-    for (mesh, of, other) in [(first, 0, 1), (second, 1, 0)] {
-        let own = [here, place][of];
-        if let (Some((Triangles::Mesh(set), _)), Some((p, q, ..)), true) =
-            (&mesh.triangles, projected, solids[other].is_convex())
-            && solids[of].distance([p, q][other]) > 0.0
-            && let Some((apart, points, lower)) = distance_from_convex(set, &own, &mut solids[other], floor)
+    /// [`Self::clearance`] of the geometries as they are.
+    fn of_geometries(&self, accuracy: Accuracy, progress: &Progress) -> Option<Clearance> {
+        let ([first, second], [here, place]) = (self.sets, self.frames);
+        let mut solids =
+            [Solid::new(&first.element.geometry, here, true), Solid::new(&second.element.geometry, place, true)];
+        let floor = FLOOR * self.size();
+        let apart_by = |distance: f64, error: f64, points: [DVec3; 2], normal: DVec3| {
+            Some(self.world(distance, error, points, normal, 0.5 * (points[0] + points[1])))
+        };
+
+        let mut start = None;
+        if let (Some((a, radius_a)), Some((b, radius_b))) = (&first.triangles, &second.triangles) {
+            let (a, b, radii) = (a.set(), b.set(), radius_a + radius_b);
+            let nested = contains_start(&mut solids[1], a, &here, second, &place)
+                || contains_start(&mut solids[0], b, &place, first, &here);
+            if !nested {
+                let (apart, p, q) = distance([a, b], &place, accuracy.limit + radii)?;
+                let n = (p - q).try_normalize();
+                if let (true, Some(n)) = (apart > radii, n) {
+                    return apart_by(apart - radii, 0.0, [p - n * *radius_a, q + n * *radius_b], n);
+                }
+                // Balls and capsules: the largest ball of the overlap lies on the line of the closest points.
+                let is_thin = *radius_a > 0.0 && *radius_b > 0.0;
+                if let (true, Some(n)) = (is_thin && (radius_a - radius_b).abs() <= apart, n) {
+                    return apart_by(apart - radii, 0.0, [p - n * *radius_a, q + n * *radius_b], n);
+                }
+                start = Some(0.5 * (p + q));
+            }
+        }
+
+        let boxes = [first.posed_box(&here), second.posed_box(&place)];
+        let middle = |[lower, upper]: [DVec3; 2]| 0.5 * (lower + upper);
+        let start = start.or_else(|| Some(middle(boxes[1].or(boxes[0])?))).unwrap_or(DVec3::ZERO);
+        let [a, b] = &mut solids;
+        let size = self.size() + start.length();
+        let projected = project(a, b, start, size, ACCURACY * size);
+        if let Some((p, q, apart, lower)) = projected
+            && apart - lower <= floor
         {
-            let [p, q] = if of == 0 { points } else { [points[1], points[0]] };
-            tangents = Some((apart, lower, p, q));
+            return if lower >= accuracy.limit {
+                None
+            } else {
+                apart_by(apart, apart - lower, [p, q], (p - q) / apart)
+            };
         }
+        // A mesh and a convex shape.
+        let mut tangents = None;
+        for (mesh, of, other) in [(first, 0, 1), (second, 1, 0)] {
+            let own = [here, place][of];
+            if let (Some((Triangles::Mesh(set), _)), Some((p, q, ..)), true) =
+                (&mesh.triangles, projected, solids[other].is_convex())
+                && solids[of].distance([p, q][other]) > 0.0
+                && let Some((apart, points, lower)) = distance_from_convex(set, &own, &mut solids[other], floor)
+            {
+                let [p, q] = if of == 0 { points } else { [points[1], points[0]] };
+                tangents = Some((apart, lower, p, q));
+            }
+        }
+        if let Some((apart, lower, p, q)) = tangents
+            && apart - lower <= (accuracy.relative_tolerance * apart).max(2.0 * floor)
+        {
+            return if lower >= accuracy.limit {
+                None
+            } else {
+                apart_by(apart, apart - lower, [p, q], (p - q) / apart)
+            };
+        }
+        let [a, b] = &mut solids;
+        // The minimum lies within its value of both boxes.
+        let reach = match projected {
+            Some((_, _, apart, _)) => 0.5 * apart,
+            None => 0.0,
+        };
+        let grown = boxes.map(|bounds| bounds.map(|[lower, upper]| [lower - reach, upper + reach]));
+        let region = match grown {
+            [Some(x), Some(y)] => [x[0].max(y[0]), x[1].min(y[1])],
+            [Some(x), None] | [None, Some(x)] => x,
+            [None, None] => [start - size, start + size],
+        };
+        let start = projected.map_or_else(|| start.max(region[0]).min(region[1]), |(p, q, _, _)| 0.5 * (p + q));
+        // The signed distance of an open mesh jumps across its opening, where no bound holds.
+        let is_closed = |of: &Prepared<'_>| match &of.element.geometry {
+            Geometry::Mesh(mesh) => mesh.topology().closed,
+            Geometry::Shape(_) => true,
+        };
+        let unproven = if is_closed(first) && is_closed(second) { 0.0 } else { f64::INFINITY };
+        let found = minimum(a, b, region, start, accuracy.relative_tolerance, 0.5 * floor, progress);
+        let lower = 2.0 * found.lower;
+        if lower >= accuracy.limit && lower > 0.0 {
+            return None;
+        }
+        if found.upper > 0.0 {
+            // The closest points near the minimum.
+            let (p, q, apart, own) =
+                project(a, b, found.at, size, ACCURACY * size).or(projected).unwrap_or_else(|| {
+                    let (p, q) = (a.gradient_and_point(found.at).1, b.gradient_and_point(found.at).1);
+                    (p, q, p.distance(q), lower)
+                });
+            let apart = apart.min(2.0 * found.upper);
+            return apart_by(
+                apart,
+                (apart - lower.max(own)).max(unproven),
+                [p, q],
+                (p - q).try_normalize().unwrap_or(DVec3::X),
+            );
+        }
+        let (points, normal) = facing(a, b, found.at);
+        let error = (2.0 * (found.upper - found.lower)).max(unproven);
+        Some(self.world(2.0 * found.upper, error, points, normal, found.at))
     }
-    if let Some((apart, lower, p, q)) = tangents
-        && apart - lower <= (relative_tolerance * apart).max(2.0 * floor)
-    {
-        return if lower >= limit { None } else { apart_by(apart, apart - lower, [p, q], (p - q) / apart) };
-    }
-    let [a, b] = &mut solids;
-    // The minimum lies within its value of both boxes.
-    let reach = match projected {
-        Some((_, _, apart, _)) => 0.5 * apart,
-        None => 0.0,
-    };
-    let grown = boxes.map(|bounds| bounds.map(|[lower, upper]| [lower - reach, upper + reach]));
-    let region = match grown {
-        [Some(x), Some(y)] => [x[0].max(y[0]), x[1].min(y[1])],
-        [Some(x), None] | [None, Some(x)] => x,
-        [None, None] => [start - size, start + size],
-    };
-    let start = projected.map_or_else(|| start.max(region[0]).min(region[1]), |(p, q, _, _)| 0.5 * (p + q));
-    // The signed distance of an open mesh jumps across its opening, where no bound holds.
-    let is_closed = |of: &Prepared<'_>| match &of.element.geometry {
-        Geometry::Mesh(mesh) => mesh.topology().closed,
-        Geometry::Shape(_) => true,
-    };
-    let unproven = if is_closed(first) && is_closed(second) { 0.0 } else { f64::INFINITY };
-    let found = minimum(a, b, region, start, relative_tolerance, 0.5 * floor, progress);
-    let lower = 2.0 * found.lower;
-    if lower >= limit && lower > 0.0 {
-        return None;
-    }
-    if found.upper > 0.0 {
-        // The closest points near the minimum.
-        let (p, q, apart, own) = project(a, b, found.at, size, ACCURACY * size).or(projected).unwrap_or_else(|| {
-            let (p, q) = (a.gradient_and_point(found.at).1, b.gradient_and_point(found.at).1);
-            (p, q, p.distance(q), lower)
-        });
-        let apart = apart.min(2.0 * found.upper);
-        return apart_by(
-            apart,
-            (apart - lower.max(own)).max(unproven),
-            [p, q],
-            (p - q).try_normalize().unwrap_or(DVec3::X),
-        );
-    }
-    let ((gradient_a, p), (gradient_b, q)) = (a.gradient_and_point(found.at), b.gradient_and_point(found.at));
-    let normal = (gradient_b - gradient_a).try_normalize().unwrap_or(gradient_b);
-    done(2.0 * found.upper, (2.0 * (found.upper - found.lower)).max(unproven), [p, q], normal, found.at)
+}
+
+/// The points of two overlapping solids nearest to a place, and the unit vector from the second surface to the first.
+fn facing(a: &mut Solid<'_>, b: &mut Solid<'_>, at: DVec3) -> ([DVec3; 2], DVec3) {
+    let ((gradient_a, p), (gradient_b, q)) = (a.gradient_and_point(at), b.gradient_and_point(at));
+    ([p, q], (gradient_b - gradient_a).try_normalize().unwrap_or(gradient_b))
 }
 
 /// Whether a component of a set begins inside a solid. `place` belongs to the set, `other` to the solid.

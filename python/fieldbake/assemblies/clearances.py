@@ -43,7 +43,8 @@ def clearance(
     pose_a, pose_b : (4, 4), optional
         Rigid world-from-solid poses. The default is the identity.
     cutoff : float, default inf
-        Beyond this distance the result is a proven lower bound of at least the cutoff, with NaN for its points.
+        Beyond this distance the result is a proven lower bound of at least the cutoff, with NaN for its points. Where
+        `errors` reaches below the cutoff, nothing is proven, and the result is the same as without it.
     relative_tolerance : float, default 1e-3
         Largest error of a depth, as a share of the depth.
 
@@ -113,7 +114,8 @@ def of_pairs(
         raise ArgumentError(f"cutoff: must be above 0, got {limit:g}")
     tolerance = checks.number("relative_tolerance", relative_tolerance, above=0)
     start = time.perf_counter()
-    core = _core.Bodies(len(bodies), [core_element(i, *element) for i, own in enumerate(bodies) for element in own])
+    elements = [core_element(i, *element, with_source=True) for i, own in enumerate(bodies) for element in own]
+    core = _core.Bodies(len(bodies), elements)
     with progress_callback(progress, "clearance") as callback:
         distances, errors, first, second, normals = core.clearance(
             np.ascontiguousarray(poses.reshape(-1, 4, 4)),

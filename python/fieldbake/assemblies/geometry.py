@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError, Error
 from ..meshes.convert import as_mesh
@@ -57,12 +58,24 @@ def _deviation(mesh: Mesh, field: Any) -> float:
     return float(np.abs(field(points)).max())
 
 
+#: The arguments of an element of `_core.Bodies`.
+CoreElement = tuple[int, _core.Mesh | _core.Shape, list[list[float]], float, tuple[_core.Shape, float] | None]
+
+
 def core_element(
-    body: int, geometry: Mesh | Shape, transform: NDArray[np.float64], scale: float = 1.0
-) -> tuple[Any, ...]:
-    """Make an element of `_core.Bodies`; `transform` is body-from-geometry."""
-    source = geometry._source if isinstance(geometry, Mesh) else None
-    return body, geometry._core, transform.tolist(), scale, None if source is None else (source[0]._core, source[1])
+    body: int,
+    geometry: Mesh | Shape,
+    transform: NDArray[np.float64],
+    scale: float = 1.0,
+    *,
+    with_source: bool = False,
+) -> CoreElement:
+    """Make an element of `_core.Bodies`; `transform` is body-from-geometry.
+
+    With `with_source` it has the shape whose triangles the geometry is, which a clearance needs.
+    """
+    source = geometry._source if with_source and isinstance(geometry, Mesh) else None
+    return body, geometry._core, transform.tolist(), scale, source and (source[0]._core, source[1])
 
 
 def rigid(name: str, value: Any, error: type[Error] = ArgumentError) -> NDArray[np.float64]:
