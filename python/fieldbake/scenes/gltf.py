@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import struct
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -23,13 +22,11 @@ from ..base.errors import SceneError
 from ..base.notices import warn
 from ..base.report import count_text
 from ..meshes.convert import load_nodes
+from ..meshes.formats.gltf_tree import GLB_HEADER_BYTES, glb_json_end, visible_nodes
 from .camera import Camera
 from .instance import INSTANCE_RESOLUTION, Instance
 from .lights import AMBIENT, MAX_LIGHTS, DirectionalLight, Light, PointLight, SpotLight
 from .scene import Scene
-
-#: Magic number of a binary glTF file, and kind of its JSON chunk.
-MAGIC, JSON_CHUNK = b"glTF", b"JSON"
 
 
 def load_scene(
@@ -99,11 +96,10 @@ def _document(file: Path) -> dict[str, Any]:
         return {}
     with file.open("rb") as stream:
         if suffix == ".glb":
-            # A GLB file has a header of 12 bytes, then chunks of length, kind and content. The first one is the JSON.
-            header = stream.read(20)
-            if header[:4] != MAGIC or header[16:] != JSON_CHUNK:
+            end = glb_json_end(stream.read(GLB_HEADER_BYTES))
+            if end is None:
                 return {}
-            content = stream.read(struct.unpack("<I", header[12:16])[0])
+            content = stream.read(end - GLB_HEADER_BYTES)
         else:
             content = stream.read()
     try:
@@ -115,19 +111,11 @@ def _document(file: Path) -> dict[str, Any]:
 
 def _nodes(document: dict[str, Any]) -> Iterator[tuple[dict[str, Any], NDArray[np.float64]]]:
     """Iterate over the visible nodes of the scene with their world-from-node transforms, in the order of the file."""
-    nodes = document.get("nodes", [])
-    scenes = document.get("scenes", [])
-    roots = scenes[document.get("scene", 0)].get("nodes", []) if scenes else range(len(nodes))
-    waiting = [(index, np.eye(4)) for index in reversed(roots)]
-    seen: set[int] = set()
-    while waiting:
-        index, world_from_parent = waiting.pop()
-        if index in seen or not 0 <= index < len(nodes):
-            continue
-        seen.add(index)
-        world_from_node = world_from_parent @ _transform(nodes[index])
-        yield nodes[index], world_from_node
-        waiting += [(child, world_from_node) for child in reversed(nodes[index].get("children", []))]
+    transforms: dict[int | None, NDArray[np.float64]] = {None: np.eye(4)}
+    for index, parent in visible_nodes(document):
+        node = document["nodes"][index]
+        transforms[index] = transforms[parent] @ _transform(node)
+        yield node, transforms[index]
 
 
 def _transform(node: dict[str, Any]) -> NDArray[np.float64]:

@@ -19,6 +19,7 @@ from ...base.errors import MaterialWarning
 from ...base.notices import warn
 from ...base.optional import optional_module
 from .gltf_accessors import DRACO, check_accessors, uses_draco
+from .gltf_tree import GLB_HEADER_BYTES, glb_json_end, visible_nodes
 
 #: Names under which trimesh returns colours and sets of texture coordinates.
 COLOR, COORDINATES = "_FIELDBAKE_COLOR", "_FIELDBAKE_UV"
@@ -51,10 +52,10 @@ class Document:
     def __init__(self, content: bytes, is_binary: bool) -> None:
         start, stop = 0, len(content)
         if is_binary:
-            # A GLB file has a header of 12 bytes, then chunks of length, kind and content. The first chunk is the JSON.
-            if content[:4] != b"glTF" or content[16:20] != b"JSON":
+            end = glb_json_end(content)
+            if end is None:
                 raise ValueError("not a binary glTF file")
-            start, stop = 20, 20 + struct.unpack("<I", content[12:16])[0]
+            start, stop = GLB_HEADER_BYTES, end
         self.tree: dict[str, Any] = json.loads(content[start:stop])
         self._unused: set[str] = set()
 
@@ -67,7 +68,7 @@ class Document:
             material["name"] = str(number)
         for number, node in enumerate(tagged.get("nodes", [])):
             node["name"] = str(number)
-        self._ranks = _ranks(tagged)
+        self._ranks = {node: rank for rank, (node, _) in enumerate(visible_nodes(tagged))}
         for mesh in tagged.get("meshes", []):
             for primitive in mesh["primitives"]:
                 attributes = primitive["attributes"]
@@ -183,19 +184,6 @@ class Document:
         unused = [*sorted(self._unused), *(f"extension {name}" for name in sorted(unknown))]
         if unused:
             warn(f"{path}: not used: {', '.join(unused)}", MaterialWarning)
-
-
-def _ranks(tree: dict[str, Any]) -> dict[int, int]:
-    """The place of each visible node in the order of the file, by its index."""
-    nodes, scenes = tree.get("nodes", []), tree.get("scenes", [])
-    waiting = list(reversed(scenes[tree.get("scene", 0)].get("nodes", []) if scenes else range(len(nodes))))
-    ranks: dict[int, int] = {}
-    while waiting:
-        index = waiting.pop()
-        if index not in ranks:
-            ranks[index] = len(ranks)
-            waiting += reversed(nodes[index].get("children", []))
-    return ranks
 
 
 def _placement(texture: dict[str, Any]) -> tuple[int, tuple[float, ...], float, tuple[float, ...]]:

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .gltf_accessors import check_accessors
+from .gltf_tree import GLB_HEADER_BYTES, glb_json_end, visible_nodes
 
-#: Bytes of the header of a file with the length and kind of its first chunk, and of the length and kind of a chunk.
-HEADER_BYTES, CHUNK_BYTES = 20, 8
+#: Bytes of the length and kind of a chunk.
+CHUNK_BYTES = 8
 
 FLOAT32, INDICES = 5126, {5121: "u1", 5123: "<u2", 5125: "<u4"}
 TRIANGLES = 4
@@ -29,13 +30,13 @@ NAMELESS = "GLTF"
 
 def read_plain_glb(content: bytes) -> tuple[tuple[NDArray[np.float32], NDArray[Any]] | None, str]:
     """Read vertices (n, 3) and faces (m, 3), and the name of the mesh; None and "" if trimesh must read the file."""
-    start = HEADER_BYTES + int.from_bytes(content[12:16], "little")
-    if content[:8] != b"glTF\x02\0\0\0" or content[16:20] != b"JSON" or content[start + 4 : start + 8] != b"BIN\0":
+    start = glb_json_end(content)
+    if start is None or content[4:8] != b"\2\0\0\0" or content[start + 4 : start + 8] != b"BIN\0":
         return None, ""
     length = int.from_bytes(content[start : start + 4], "little")
     data = memoryview(content)[start + CHUNK_BYTES :][:length]
     try:
-        tree = json.loads(content[HEADER_BYTES:start])
+        tree = json.loads(content[GLB_HEADER_BYTES:start])
         check_accessors(tree)
         if _is_plain(tree, len(data)):
             return _triangles(tree, data), tree["meshes"][0].get("name", NAMELESS)
@@ -46,9 +47,8 @@ def read_plain_glb(content: bytes) -> tuple[tuple[NDArray[np.float32], NDArray[A
 
 def _is_plain(tree: dict[str, Any], length: int) -> bool:
     """Whether a file has one mesh of triangles in one visible node, and a buffer within `length` bytes."""
-    (mesh,), (scene,), (buffer,), nodes = tree["meshes"], tree["scenes"], tree["buffers"], tree["nodes"]
+    (mesh,), (buffer,), nodes = tree["meshes"], tree["buffers"], tree["nodes"]
     (primitive,) = mesh["primitives"]
-    visible = [*scene["nodes"], *(child for root in scene["nodes"] for child in nodes[root].get("children", []))]
     name = mesh.get("name", NAMELESS)
     return (
         tree.keys() <= PLAIN
@@ -60,7 +60,7 @@ def _is_plain(tree: dict[str, Any], length: int) -> bool:
         and primitive.get("mode", TRIANGLES) == TRIANGLES
         and all(node.keys() <= PLAIN_NODE for node in nodes)
         and sum("mesh" in node for node in nodes) == 1
-        and sorted(visible) == list(range(len(nodes)))
+        and len(list(visible_nodes(tree))) == len(nodes)
         and "uri" not in buffer
         and buffer["byteLength"] <= length
     )
