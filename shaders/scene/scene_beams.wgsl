@@ -287,7 +287,7 @@ fn all_thin_rays() -> RayBundle {
 }
 
 // Whether a cone may touch an instance, by the ball around its surface.
-fn may_meet(index: u32, beam: Beam) -> bool {
+fn may_intersect(index: u32, beam: Beam) -> bool {
     let to = &instances[index];
     let ray = ray_in_field(index, beam);
     // Under non-uniform scale a cone is widest where the scene is stretched least.
@@ -376,7 +376,7 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
     var walk = begin_walk(beam);
     for (var caster = next_caster(&walk, beam); caster.index != NO_INSTANCE; caster = next_caster(&walk, beam)) {
         if HAS_THIN && instances[caster.index].prefers_rays != 0u {
-            if may_meet(caster.index, thin_beam) { block(&thin, caster, thin_beam); }
+            if may_intersect(caster.index, thin_beam) { block(&thin, caster, thin_beam); }
             continue;
         }
         let opacity = instances[caster.index].opacity;
@@ -387,8 +387,8 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
             // Cones of occlusion are wide: they enter the boxes of many instances and miss most of the surfaces inside.
             ball = ball_beside(caster.index, beam);
             if ball.x >= 1.0 { continue; }
-            if ball.y <= LEAST_BALL && opacity >= 1.0 {
-                share *= 1.0 - BALL_SHARE * ball.y;
+            if ball.y <= LEAST_BALL {
+                share *= 1.0 - opacity * BALL_SHARE * ball.y;
                 continue;
             }
             x_known = 1.0;
@@ -400,16 +400,14 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
         if needs_edge { return vec2f(0.0); }
         // Beside a free axis a distance may be a loose bound.
         if cone.x >= 0.0 { cone.x = max(cone.x, ball.x); }
-        if opacity < 1.0 {
+        if is_near {
+            share *= 1.0 - opacity * (1.0 - beside_others(cone.x, ball.x, ball.y));
+            if share <= 0.0 { return vec2f(0.0); }
+        } else if opacity < 1.0 {
             share *= 1.0 - opacity * (1.0 - visible_share(cone.x));
             is_proven = is_proven && (cone.is_covered || cone.x >= 1.0);
         } else {
             if cone.is_covered { return vec2f(0.0, 1.0); }
-            if is_near {
-                share *= beside_others(cone.x, ball.x, ball.y);
-                if share <= 0.0 { return vec2f(0.0); }
-                continue;
-            }
             x = min(x, cone.x);
             if x <= -1.0 && beam.is_coarse != 0u { return vec2f(0.0); }
         }

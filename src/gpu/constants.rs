@@ -217,7 +217,8 @@ wgsl_constants! {
         /// occluder covers the section only if the axis is inside it for a radius, so the fade may be as long as that.
         END_FADE: f32 as f32 = 0.5;
         /// Largest fraction of a wide cone's section that the ball of an instance covers if the instance is not
-        /// evaluated, and the fraction of the ball that counts then.
+        /// evaluated: such a cone changes the occlusion by at most an eighth of it. The second number is the fraction
+        /// of the ball that counts then, between 1 for a ball and about a half for a knot.
         LEAST_BALL: f32 as f32 = 0.04;
         BALL_SHARE: f32 as f32 = 0.7;
     }

@@ -40,7 +40,7 @@ var<private> visits: u32;
 
 // ---- boxes
 
-fn meets(beam: Beam, low: vec3f, high: vec3f, t_max: f32) -> bool {
+fn intersects(beam: Beam, low: vec3f, high: vec3f, t_max: f32) -> bool {
     let grown = widest(beam.p, beam.slope, low, high, t_max);
     let span = clip(beam.p, beam.direction, low - grown, high + grown, vec2f(0.0, t_max));
     return span.x <= span.y * 1.000001;
@@ -183,7 +183,7 @@ fn next_caster(walk: ptr<function, Walk>, beam: Beam) -> Occluder {
             visits++;
             let node = nodes[(*walk).node];
             (*walk).node = NO_NODE;
-            if !meets(beam, node.min, node.max, (*walk).reach) { continue; }
+            if !intersects(beam, node.min, node.max, (*walk).reach) { continue; }
             if node.second == 0u {
                 (*walk).stack[(*walk).top] = node.first;
                 (*walk).top++;
@@ -202,7 +202,7 @@ fn next_caster(walk: ptr<function, Walk>, beam: Beam) -> Occluder {
         if (*to).casts_shadow == CASTS_NOTHING || opacity == 0.0 { continue; }
         if (*to).casts_shadow == CASTS_FOR_CONES && beam.slope == 0.0 { continue; }
         // The box of a leaf contains two instances.
-        if !meets(beam, (*to).box_min - BOX_MARGIN, (*to).box_max + BOX_MARGIN, (*walk).reach) { continue; }
+        if !intersects(beam, (*to).box_min - BOX_MARGIN, (*to).box_max + BOX_MARGIN, (*walk).reach) { continue; }
         if beam.cut == ROOT_WITHOUT_OWN && index == beam.own { continue; }
         // The far field contains opaque solids only.
         let is_whole = opacity < 1.0 || (HAS_THIN && instances[index].prefers_rays != 0u);

@@ -66,7 +66,7 @@ impl<'a> Occluder<'a> {
     }
 
     /// Whether a cone may touch the occluder, by the ball around its surface.
-    pub(crate) fn may_meet(&self, place: &SurfacePoint, ray: &LightRay, slope: f32) -> bool {
+    pub(crate) fn may_intersect(&self, place: &SurfacePoint, ray: &LightRay, slope: f32) -> bool {
         let Occluder { instance, field, .. } = *self;
         let (origin, direction) = ray_in_field(instance, self.is_own, place, ray);
         let [lower, upper] = field.surface_bounds();

@@ -5,8 +5,8 @@
 //! [`AO_CONES`] cones cover the hemisphere. Each is evaluated like a cone of a soft shadow ([`super::shadow`]), but
 //! only up to a given distance, and without the narrow cones that refine a penumbra.
 //!
-//! A wide cone meets many instances, and the nearest edge alone decides its fraction. So the instances near a place are
-//! gathered once for all of its cones. The surface of each instance lies in a ball. Seen from the place, let the ball
+//! A wide cone may intersect many instances, so the instances near a place are gathered once for all of its cones. The
+//! surface of each instance lies in a ball. Seen from the place, let the ball
 //! have the radius `r`, the distance `c`, and the angle `A` from the axis of a cone. Its angular radius is `B`, with
 //! `sin B = r / c`. The surface in it therefore passes the axis at
 //!
@@ -197,7 +197,7 @@ impl Occluders {
         })
     }
 
-    /// Finds the instances that a cone may meet.
+    /// Finds the instances that a cone may intersect.
     fn find_candidates(&mut self, axis: Vec3) {
         let Self { toward: [x, y, z], squared, radius, tangent, limit, candidates, .. } = self;
         candidates.clear();
@@ -250,7 +250,7 @@ impl Casters<'_> {
 
     /// Gathers the instances that cones over the hemisphere above a place may meet.
     ///
-    /// A cone ends at `distance` with the radius `slope distance`. So it meets no surface beyond
+    /// A cone ends at `distance` with the radius `slope distance`. So it intersects no surface beyond
     /// `distance (1 + slope)`, and no surface below the lowest point of the balls about the axes of the ring.
     pub(crate) fn gather(&self, place: &SurfacePoint, distance: f64, occluders: &mut Occluders) {
         let Scene { tree, instances, .. } = self.scene;
@@ -291,7 +291,7 @@ impl Casters<'_> {
         occluders.find_candidates(direction);
         let Occluders { nearby, toward: [x, y, z], squared, radius, candidates, .. } = occluders;
         let mut sum = ConeSum::NEW;
-        // The fraction that opaque instances let pass.
+        // The fraction that all instances without thin rays let pass.
         let mut passes = 1.0f32;
         for row in 0..candidates.len() {
             let nearest = candidates[row];
@@ -308,8 +308,9 @@ impl Casters<'_> {
                 0.0 => 1.0,
                 radius => covered_by_ball(along, squared[i], radius, nearest.x),
             };
-            if covered <= LEAST_BALL && instance.is_opaque_solid() {
-                passes *= 1.0 - BALL_SHARE * covered;
+            let prefers_rays = instance.field.as_ref().is_some_and(|field| field.prefers_rays());
+            if covered <= LEAST_BALL && !prefers_rays {
+                passes *= 1.0 - instance.shade * BALL_SHARE * covered;
                 continue;
             }
             // The own field is evaluated from a point that is moved off the surface.
@@ -317,14 +318,14 @@ impl Casters<'_> {
             let ball =
                 BallAhead { along, squared: squared[i], radius: self.scene.balls()[item as usize].radius + moved };
             let wide = WideCone { beside: Beside { nearby, candidates, slope }, least_x: nearest.x, ball };
-            let mut found = 1.0f32;
-            let mut own = ConeSum::NEW;
+            // The sum has the thin rays of all instances, and nothing of the others.
+            let (mut found, mut own) = (1.0f32, ConeSum::NEW);
             for caster in self.casters(item, place, ray, &split) {
-                let into = if instance.is_opaque_solid() { &mut own } else { &mut sum };
+                let into = if prefers_rays { &mut sum } else { &mut own };
                 found = found.min(self.add_cone(&caster, cone, 1.0, Some(&wide), into, work).x);
             }
-            if instance.is_opaque_solid() {
-                passes *= beside_others(own.opaque.x, nearest.x, covered);
+            if !prefers_rays {
+                passes *= 1.0 - instance.shade * (1.0 - beside_others(found, nearest.x, covered));
                 if passes <= 0.0 {
                     break;
                 }

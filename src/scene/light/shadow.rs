@@ -43,6 +43,7 @@ use super::cone::{Cone, ConeShare, ConeSum, ConeWalk, Decision, RayPast, WideCon
 use super::far_field::{Far, FarLevel, Split};
 use super::light_rays::{LightCone, LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
 use super::occluder::{NearList, Occluder, ray_in_field};
+use super::occlusion::AO_TANGENT;
 use crate::gpu::constants::scene_beams::END_FADE;
 use crate::scene::content::model::Scene;
 use crate::scene::content::tree::Line;
@@ -174,7 +175,7 @@ impl<'a> Casters<'a> {
         work: &mut LightWork,
     ) -> Cone {
         // The slope of a wide cone is a sine; rays in it need the tangent.
-        let slope = if wide.is_some() { cone.slope / (1.0 - cone.slope * cone.slope).sqrt() } else { cone.slope };
+        let slope = if wide.is_some() { AO_TANGENT } else { cone.slope };
         if let Some(found) = self.add_thin(caster, LightCone { slope, ..cone }, sum, work) {
             return found;
         }
@@ -198,7 +199,7 @@ impl<'a> Casters<'a> {
         if !caster.field.prefers_rays() {
             return None;
         }
-        if !caster.may_meet(place, ray, slope) {
+        if !caster.may_intersect(place, ray, slope) {
             return Some(Cone::FREE);
         }
         sum.thin.block(caster.instance.shade, ray, slope, |thin| self.hit_of(caster, place, thin, work).is_some());
