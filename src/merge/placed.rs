@@ -137,23 +137,21 @@ fn signed_bound(field: &FieldView<'_>, inner: [DVec3; 2], is_cut: bool, p: DVec3
     let cell = field.cell_bound(p);
     // Bound on the surface itself, without the cut.
     let unsigned = || field.unsigned_bound(p, inner);
+    // Even if all corners are positive, the point may be inside a thin part, where the bound of the distance is 0.
+    let in_cell = || match cell.all_positive.then(unsigned) {
+        Some(bound) if bound > 0.0 => cell.by_distance.max(bound),
+        _ => cell.by_distance,
+    };
     if !is_cut {
         let to_inner = distance_to_box(p, inner);
-        let bound = match unsigned() {
-            // In a cell whose corners are positive, 0 states nothing: the point may be inside a thin part.
-            bound if cell.in_hull && !(cell.all_positive && bound > 0.0) => cell.by_distance,
-            bound => cell.by_distance.max(bound),
-        };
+        let bound = if cell.in_hull { in_cell() } else { cell.by_distance.max(unsigned()) };
         return if to_inner > 0.0 { bound.max(to_inner) } else { bound };
     }
     let to_box = distance_to_box(p, [field.grid().lower, field.grid().upper]);
     if to_box > 0.0 {
         return unsigned().min(to_box);
     }
-    match unsigned() {
-        bound if cell.all_positive && bound > 0.0 => cell.by_distance.max(bound),
-        _ => cell.by_distance,
-    }
+    in_cell()
 }
 
 fn distance_to_box(p: DVec3, [lower, upper]: [DVec3; 2]) -> f64 {

@@ -102,7 +102,7 @@ pub(crate) fn with_divided_polygons(content: &[u8], progress: &Progress) -> Resu
         }
         end = start + line.len();
     }
-    if end == 0 {
+    if divided.is_empty() {
         return Ok(None);
     }
     divided.extend_from_slice(&content[end..]);

@@ -275,4 +275,5 @@ def test_noise_makes_no_voids(resolution):
     made = fb.solid(cloud, resolution)
 
     assert made.report.bodies == 1
+    # A mean shift of the surface by a tenth of the noise is a volume of 0.26 %.
     assert made.volume == pytest.approx(4 / 3 * np.pi * 30 * 20 * 12, rel=5e-3)

@@ -111,6 +111,8 @@ def test_a_light_is_cut_off_by_the_horizon(kind: str, shadows: str, request: pyt
     x = height[near].clip(-1, 1)
     share = 0.5 + (np.arcsin(x) + x * np.sqrt(1 - x * x)) / np.pi
     error = frame.shadow[near] - share
+    # The series of the share is accurate to 0.004, and normals of the mesh and the volume to a few thousandths. A part
+    # of a disc has up to half the root of the 64 points more or fewer than its share, which is 0.0625.
     assert np.abs(error).max() <= (0.01 if shadows == "soft" else 0.07)
     assert abs(error.mean()) <= 0.01
 

@@ -247,4 +247,5 @@ def test_a_mesh_shades_a_floor_of_any_width(shadows: str, width: float) -> None:
         frame = fb.render(scene, camera, size=(160, 120), shadows=shadows, device="cpu")
         dark.append((frame.object_id == 1) & (frame.shadow < 0.5))
     assert dark[0].sum() > 300
+    # The mesh has a chord error of 1/48 of the ball at most, which moves its outline by less than a pixel.
     assert (dark[0] != dark[1]).sum() <= 0.02 * dark[0].sum()
