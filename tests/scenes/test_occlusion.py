@@ -102,6 +102,20 @@ def test_occlusion_past_balls_is_close_to_rays(kind: str, device: str) -> None:
     assert (np.abs(error) <= 0.15).mean() >= 0.98
 
 
+def test_occlusion_is_proportional_to_opacity(device: str) -> None:
+    camera = fb.Camera((0, 4, 5), (0, 0, 0), fov_deg=50)
+    passed = {}
+    for opacity in (0.0, 0.5, 0.999, 1.0):
+        ball = fb.Instance(fb.sphere(0.4), moved(0, 0.7, 0), opacity=opacity, visible=False)
+        scene = fb.Scene([ball, plane(6, y=0)], lights=[], ambient=1)
+        frame = fb.render(scene, camera, size=(40, 30), ambient_occlusion=4.0, device=device)
+        passed[opacity] = frame.color[..., 0][frame.object_id == 1]
+    blocked = 1 - passed[1.0] / passed[0.0]
+    assert blocked.max() > 0.15
+    for opacity in (0.5, 0.999):
+        assert np.abs(1 - passed[opacity] / passed[0.0] - opacity * blocked).max() <= 1e-5
+
+
 SIDE = fb.Camera((0, 0, 9), (0, 0, 0))
 #: Convex bodies, on which no part occludes another one.
 CONVEX = {

@@ -169,6 +169,11 @@ impl Instance {
         self.triangles.as_deref().filter(|_| self.casts_shadow && self.opacity > 0.0)
     }
 
+    /// The field that cones of light intersect, if it blocks light.
+    pub fn casting_field(&self) -> Option<&dyn Field> {
+        self.field.as_deref().filter(|_| !self.is_sheet && self.casts_shadow && self.shade > 0.0)
+    }
+
     /// Whether distances describe all its effects on light: it is neither translucent nor tested by thin rays.
     pub fn is_opaque_solid(&self) -> bool {
         !self.is_sheet && self.shade >= 1.0 && !self.field.as_ref().is_some_and(|field| field.prefers_rays())

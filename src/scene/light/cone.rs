@@ -81,7 +81,13 @@ pub(crate) struct ConeSum {
     pub thin: RayBundle,
 }
 
-/// A wide cone of occlusion and what is known about the instance that it passes ([`ConeWalk::beside_wide`]).
+/// Sine of half the angle of a wide cone, 30 degrees: seven such cones just cover a hemisphere. The balls of this
+/// radius per distance about the axis touch the plane of the surface.
+pub(crate) const AO_SLOPE: f32 = 0.5;
+/// Tangent of half the angle, for rays in the cone.
+pub(crate) const AO_TANGENT: f32 = 0.577_350_3;
+
+/// A wide cone of occlusion, with bounds of the instance that it passes ([`ConeWalk::beside_wide`]).
 #[derive(Clone, Copy)]
 pub(crate) struct WideCone<'a> {
     /// The instances that rays past the cone's edges may meet.

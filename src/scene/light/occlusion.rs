@@ -21,7 +21,7 @@
 //! cover the rest is an edge darker than the ball alone ([`beside_others`]). An instance that covers little is not
 //! evaluated. The fractions that the instances let pass multiply.
 
-use super::cone::{BallAhead, ConeSum, WideCone, clearance, visible_share};
+use super::cone::{AO_SLOPE, AO_TANGENT, BallAhead, ConeSum, WideCone, clearance, visible_share};
 use super::light_rays::{LightCone, LightRay, LightWork, SurfacePoint, basis};
 use super::near_instances::{Beside, ConeOccluder, NearInstances};
 use super::occluder::bias;
@@ -34,11 +34,6 @@ use glam::Vec3;
 
 /// Cones over a hemisphere: one along the normal and a ring of six.
 pub(crate) const AO_CONES: usize = 7;
-/// Sine of half the angle of a cone, 30 degrees: seven such cones just cover a hemisphere. The balls of this radius per
-/// distance about the axis touch the plane of the surface.
-pub(crate) const AO_SLOPE: f32 = 0.5;
-/// Tangent of half the angle, for rays in the cone.
-pub(crate) const AO_TANGENT: f32 = 0.577_350_3;
 /// Cosine and sine of the angle of the ring from the normal: 60 degrees.
 const AO_RING: (f64, f64) = (0.5, 0.866_025_403_784_438_6);
 
@@ -262,9 +257,7 @@ impl Casters<'_> {
             occluders.around = Some((p, reach));
             occluders.nearby.clear();
             tree.near(p, (1.0 + SHARED + ROUNDING) * reach, |item| {
-                let instance = &instances[item as usize];
-                let is_solid = !instance.is_sheet && instance.field.is_some();
-                if is_solid && instance.casts_shadow && instance.shade > 0.0 {
+                if instances[item as usize].casting_field().is_some() {
                     let ball = &balls[item as usize];
                     occluders.nearby.push(item, ball.center, ball.radius);
                 }

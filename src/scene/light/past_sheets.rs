@@ -17,10 +17,10 @@
 //!
 //! Sheets are evaluated on the CPU for pictures of every device, so their shadows do not depend on it.
 
+use super::cone::AO_TANGENT;
 use super::light_rays::{LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
 use super::lit_surface::{Lights, LitSurface};
 use super::mesh_rays::is_skipped;
-use super::occlusion::AO_TANGENT;
 use super::shadow::Casters;
 use crate::scene::content::instance::Instance;
 use crate::scene::content::model::Scene;

@@ -39,11 +39,10 @@
 //! voxel: the ray starts a number of voxels off the surface. No constant is in world units, so the scale of the scene
 //! has no effect. Other instances touch the surface without a gap.
 
-use super::cone::{Cone, ConeShare, ConeSum, ConeWalk, Decision, RayPast, WideCone};
+use super::cone::{AO_TANGENT, Cone, ConeShare, ConeSum, ConeWalk, Decision, RayPast, WideCone};
 use super::far_field::{Far, FarLevel, Split};
 use super::light_rays::{LightCone, LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
 use super::occluder::{NearList, Occluder, ray_in_field};
-use super::occlusion::AO_TANGENT;
 use crate::gpu::constants::scene_beams::END_FADE;
 use crate::scene::content::model::Scene;
 use crate::scene::content::tree::Line;
@@ -358,8 +357,7 @@ impl<'a> Casters<'a> {
         split: &Split,
     ) -> impl Iterator<Item = Occluder<'a>> {
         let instance = &self.scene.instances[item as usize];
-        let casts = !instance.is_sheet && instance.casts_shadow && instance.shade > 0.0;
-        let field = instance.field.as_deref().filter(|_| casts);
+        let field = instance.casting_field();
         let bounds = &self.scene.boxes[item as usize];
         let is_own = item == place.own;
         let field = field.filter(|_| !(is_own && place.skips_own));

@@ -32,7 +32,18 @@ const SMOOTH_SCALE: u32 = 8;
 
 /// Smallest number of evaluated pixels along the shorter side of a picture with indirect light. The light on a large
 /// wall changes slowly, but much from one side to the other.
-const LEAST_LATTICE: u32 = 32;
+const LEAST_BOUNCES: u32 = 32;
+/// The same for occlusion. A wider lattice would miss the occlusion beside an object of a twelfth of a small picture.
+const LEAST_OPEN: u32 = 24;
+
+/// Distance of the evaluated pixels of a picture with at least this number of them along its shorter side.
+fn smooth_scale([width, height]: [u32; 2], least: u32) -> u32 {
+    let mut every = SMOOTH_SCALE;
+    while every > 1 && every * least > width.min(height) {
+        every /= 2;
+    }
+    every
+}
 
 /// Units of progress that one call of [`find`] counts per row of the picture. The number is divisible by each possible
 /// number of lattices, 1 to 4.
@@ -51,7 +62,7 @@ pub(crate) fn find_count(options: &RenderOptions, passes: u32, is_lit: bool) -> 
 /// Finds the occlusion of a pass at its scale, then the light that arrives from the lights.
 fn find_apart(pass: &Pass<'_>) -> Result<LightBuffer, Error> {
     let no_lights = Lights { lights: Vec::new() };
-    let open = find_at(&Pass { lights: &no_lights, ..*pass }, SMOOTH_SCALE)?;
+    let open = find_at(&Pass { lights: &no_lights, ..*pass }, smooth_scale(pass.options.size, LEAST_OPEN))?;
     let options = RenderOptions { occlusion: None, ..pass.options.clone() };
     let mut evaluated = find_at(&Pass { options: &options, ..*pass }, options.light_scale)?;
     let stride = evaluated.stride;
@@ -90,11 +101,7 @@ pub(crate) fn find_bounces(
         evaluate(&pass, &mut own, &|_, _| true, ROW_PROGRESS)?;
         return Ok(own);
     }
-    let [width, height] = pass.options.size;
-    let mut every = SMOOTH_SCALE;
-    while every > 1 && every * LEAST_LATTICE > width.min(height) {
-        every /= 2;
-    }
+    let every = smooth_scale(pass.options.size, LEAST_BOUNCES);
     let guide = find_at(&Pass { own_paths: false, ..pass }, every)?;
     let is_evaluated = |work: &LightWork| work.rays > 0;
     for (own, guide) in own.rows.iter_mut().zip(&guide.rows) {
