@@ -41,6 +41,8 @@ struct Cone {
     // Signed distance of the nearest edge from the axis in radii, from -1 to 1.
     x: f32,
     is_covered: bool,
+    // Fraction of the section beside the occluder that others leave open at its edge; 1 except for wide cones.
+    beside: f32,
 }
 
 // Evaluates a cone past one occluder. Only edges closer to the axis than x_known are relevant. Without `with_edges` a
@@ -48,21 +50,24 @@ struct Cone {
 // shares.
 fn cone_past(caster: Occluder, beam: Beam, ray: FieldRay, span: vec2f, x_known: f32, with_edges: bool) -> Cone {
     let t_hit = hit_of(caster, ray);
-    if t_hit < 0.0 && x_known <= 0.0 { return Cone(1.0, false); }
+    if t_hit < 0.0 && x_known <= 0.0 { return Cone(1.0, false, 1.0); }
     let deepest = nearest_edge(beam, caster.index, ray, x_known, span, t_hit);
-    if t_hit < 0.0 { return Cone(deepest.x, false); }
-    if deepest.x <= -1.0 { return Cone(-1.0, true); }
+    if t_hit < 0.0 { return Cone(deepest.x, false, 1.0); }
+    if deepest.x <= -1.0 { return Cone(-1.0, true, 1.0); }
     // A disc with a blocked axis that no occluder covers is divided, so its own fraction is not used.
-    if beam.is_coarse == 0u { return Cone(deepest.x, false); }
+    if beam.is_coarse == 0u { return Cone(deepest.x, false, 1.0); }
     if !with_edges {
         needs_edge = true;
-        return Cone(-1.0, false);
+        return Cone(-1.0, false, 1.0);
     }
-    var most = largest_clearance_past(caster, beam, ray, deepest);
+    let past = largest_clearances_past(caster, beam, ray, deepest);
     if HAS_WIDE && beam.is_coarse == WIDE {
-        most = max(most, 1.0 - (beam.t_max - t_hit) / (END_FADE * beam.slope * beam.t_max));
+        let fade = 1.0 - (beam.t_max - t_hit) / (END_FADE * beam.slope * beam.t_max);
+        var beside = 1.0;
+        if past.x > 0.0 { beside = past.y / past.x; }
+        return Cone(max(past.x, fade) * (1.0 + deepest.x) - 1.0, false, max(beside, fade));
     }
-    return Cone(most * (1.0 + deepest.x) - 1.0, false);
+    return Cone(past.y * (1.0 + deepest.x) - 1.0, false, 1.0);
 }
 
 // The interval of a cone in which the surface of an occluder may come within `x_known` radii of the axis.
@@ -79,14 +84,15 @@ fn cone_span(caster: Occluder, beam: Beam, ray: FieldRay, x_known: f32) -> vec2f
     return clip(ray.origin, ray.direction, lower, upper, caster.part + vec2f(caster.skip, 0.0));
 }
 
-// The largest clearance of rays past the edges of an occluder in radii, from 0 to 1: see `rays_past` in cone.rs.
-fn largest_clearance_past(caster: Occluder, beam: Beam, ray: FieldRay, deepest: vec2f) -> f32 {
+// The largest clearances of rays past the edges of an occluder in radii, from 0 to 1: beside that occluder, and beside
+// all. See `rays_past` in cone.rs.
+fn largest_clearances_past(caster: Occluder, beam: Beam, ray: FieldRay, deepest: vec2f) -> vec2f {
     let index = caster.index;
     let to = &instances[index];
     let t = deepest.y;
     let depth = -deepest.x * beam.slope * t;
     let beyond = PAST_EDGE * depth + 0.5 / length(ray.direction) * (*to).largest_stretch / (*to).least_stretch;
-    if beyond > 2.0 * beam.slope * t { return 0.0; }
+    if beyond > 2.0 * beam.slope * t { return vec2f(0.0); }
     let slope = FULL_CLEARANCE * (beyond * EDGE_COSINE - depth) / t;
     let axes = axes_of(beam.direction);
     let p = ray.origin + t * ray.direction;
@@ -98,14 +104,14 @@ fn largest_clearance_past(caster: Occluder, beam: Beam, ray: FieldRay, deepest: 
         let q = p + field_direction(index, beyond * aside);
         bounds[i] = min(across(index, field_distance(fields[(*to).field], q), q) / (slope * t), 1.0);
     }
-    var most = 0.0;
+    var most = vec2f(0.0);
     for (var round = 0u; round < EDGE_DIRECTIONS; round++) {
         var first = 0u;
         for (var i = 1u; i < EDGE_DIRECTIONS; i++) {
             if bounds[i] > bounds[first] { first = i; }
         }
         let bound = bounds[first];
-        if bound <= most { break; }
+        if bound <= most.y { break; }
         bounds[first] = 0.0;
         let angle = f32(first) * (TAU / f32(EDGE_DIRECTIONS));
         var past = beam;
@@ -117,32 +123,39 @@ fn largest_clearance_past(caster: Occluder, beam: Beam, ray: FieldRay, deepest: 
         past.direction /= longer;
         past.t_max = min(beam.t_max * longer, FAR_T);
         let was_far = is_far;
-        most = max(most, min(bound, clearance_along(past, index, most)));
+        most = max(most, min(vec2f(bound), clearances_along(past, index, most.y)));
         is_far = was_far;
     }
     return most;
 }
 
-// The least clearance of the axis of a narrow cone in radii, from 0 to 1: beside the occluder `past`, and beside the
-// others that are opaque. The search ends if it is at most `least`.
-fn clearance_along(beam: Beam, past: u32, least: f32) -> f32 {
-    var clearance = 1.0;
+// The least clearances of the axis of a narrow cone in radii, from 0 to 1: beside the occluder `past`, and beside the
+// others that are opaque too. The search ends if the second one is at most `least`.
+fn clearances_along(beam: Beam, past: u32, least: f32) -> vec2f {
+    var own = 1.0;
+    var others = 1.0;
+    var is_own_found = false;
     var walk = begin_walk(beam);
     for (var caster = next_caster(&walk, beam); caster.index != NO_INSTANCE; caster = next_caster(&walk, beam)) {
-        if instances[caster.index].opacity < 1.0 && caster.index != past { continue; }
+        let is_own = caster.index == past;
+        if !is_own && (instances[caster.index].opacity < 1.0 || others <= least) { continue; }
+        is_own_found = is_own_found || is_own;
+        let known = select(others, own, is_own);
         let ray = ray_in_field(caster.index, beam);
+        var clearance = known;
         var is_free = false;
         if !HAS_THIN || instances[caster.index].prefers_rays == 0u {
-            let span = cone_span(caster, beam, ray, clearance);
+            let span = cone_span(caster, beam, ray, known);
             if span.x > span.y { continue; }
-            let nearest = nearest_edge(beam, caster.index, ray, clearance, span, -1.0);
+            let nearest = nearest_edge(beam, caster.index, ray, known, span, -1.0);
             clearance = nearest.x;
             is_free = nearest.y < 0.0;
         }
-        if clearance > least && !is_free && hit_of(caster, ray) >= 0.0 { return 0.0; }
-        if clearance <= least { break; }
+        if clearance > 0.0 && !is_free && hit_of(caster, ray) >= 0.0 { clearance = 0.0; }
+        if is_own { own = clearance; } else { others = clearance; }
+        if is_own_found && min(own, others) <= least { break; }
     }
-    return clearance;
+    return vec2f(own, min(own, others));
 }
 
 // A march along the axis of a cone past one occluder.
@@ -299,34 +312,72 @@ fn may_intersect(index: u32, beam: Beam) -> bool {
     return aside - slope * along <= (*to).surface_radius * sqrt(1.0 + slope * slope);
 }
 
-// The ball around the surface of an instance beside the axis of a cone: the lower bound, in radii, of the distance
-// between the axis and the surface, and the largest fraction of the section that the ball covers. See
-// src/scene/light/occlusion.rs.
-fn ball_beside(index: u32, beam: Beam) -> vec2f {
-    let to = &instances[index];
-    let ray = ray_in_field(index, beam);
-    let slope = beam.slope / (length(local_direction(index, beam.direction)) * (*to).least_stretch);
-    let way = 0.5 * ((*to).surface_lower + (*to).surface_upper) - ray.origin;
-    let squared = dot(way, way);
-    let radius = (*to).surface_radius;
-    if squared <= radius * radius { return vec2f(-1.0, 1.0); }
-    let along = dot(way, normalize(ray.direction));
-    let aside = sqrt(max(squared - along * along, 0.0));
-    let tangent = sqrt(squared - radius * radius);
-    if along * tangent + aside * radius < 0.0 { return vec2f(FAR_T, 0.0); }
-    let x = (aside * tangent - along * radius) / (slope * squared);
-    // The disc of the ball as far as it lies within the rim of the cone, see `covered_by_ball`.
-    let far = sqrt(squared);
-    let within = visible_share((slope * far - select(far, aside, along > 0.0)) / radius);
-    let disc = radius * radius / (slope * slope * squared);
-    return vec2f(x, min(disc * within, 1.0 - visible_share(x)));
+// The ball around the surface of an instance beside the axis of a cone of occlusion.
+struct BallBeside {
+    // Lower bound, in radii, of the distance between the axis and the surface.
+    least_x: f32,
+    // Largest fraction of the section that the ball covers.
+    covered: f32,
+    // Ratio of its form factor to the fraction that it covers of all cones from the place.
+    weight: f32,
+    // Whether the place is outside of the ball. Inside, the ball bounds nothing.
+    is_bound: bool,
 }
 
-// Fraction of a wide cone's section that an instance lets pass, twin of src/scene/light/occlusion.rs.
-fn beside_others(x: f32, least_x: f32, ball: f32) -> f32 {
-    let alone = clamp((1.0 + x) / max(1.0 + least_x, RIM_ROUNDING), 0.0, 1.0);
-    let share = visible_share(x);
-    return share + alone * max(1.0 - ball - share, 0.0);
+// Twin of src/scene/light/occlusion.rs.
+fn ball_beside(index: u32, beam: Beam) -> BallBeside {
+    let toward = instances[index].ball_center - beam.p;
+    let squared = dot(toward, toward);
+    let radius = instances[index].ball_radius;
+    if squared <= radius * radius { return BallBeside(-1.0, 1.0, 1.0, false); }
+    let along = dot(toward, beam.direction);
+    let least_x = ball_edge(along, squared, radius, beam.slope);
+    if least_x >= 1.0 { return BallBeside(least_x, 0.0, 1.0, true); }
+    let normal = beam.normal;
+    let axes = axes_of(normal);
+    var cones = 0.0;
+    var weights = 0.0;
+    for (var i = 0u; i < AO_CONES; i++) {
+        let angle = f32(i) * (TAU / f32(AO_CONES - 1u));
+        let ring = AO_RING_COSINE * normal + AO_RING_SINE * (cos(angle) * axes.right + sin(angle) * axes.up);
+        let axis = select(ring, normal, i == 0u);
+        let weight = select(AO_RING_COSINE, 1.0, i == 0u);
+        cones += weight * covered_by_ball(dot(toward, axis), squared, radius, beam.slope);
+        weights += weight;
+    }
+    let distance = sqrt(squared);
+    let factor = form_factor(dot(toward, normal) / distance, radius / distance);
+    var weight = MOST_WEIGHT;
+    if factor * weights < MOST_WEIGHT * cones { weight = factor * weights / cones; }
+    // The front of a ball spans about a radius.
+    let within_reach = clamp((beam.t_max + radius - distance) / radius, 0.0, 1.0);
+    return BallBeside(least_x, within_reach * covered_by_ball(along, squared, radius, beam.slope), weight, true);
+}
+
+// Signed distance of the edge of a ball from the axis of a cone in radii. `along` is the position of its centre along
+// the axis, `squared` its squared distance.
+fn ball_edge(along: f32, squared: f32, radius: f32, slope: f32) -> f32 {
+    let aside = sqrt(max(squared - along * along, 0.0));
+    let tangent = sqrt(squared - radius * radius);
+    if along * tangent + aside * radius < 0.0 { return FAR_T; }
+    return (aside * tangent - along * radius) / (slope * squared);
+}
+
+fn covered_by_ball(along: f32, squared: f32, radius: f32, slope: f32) -> f32 {
+    let far = sqrt(squared);
+    let aside = select(far, sqrt(max(squared - along * along, 0.0)), along > 0.0);
+    let disc = radius * radius / (slope * slope * squared) * visible_share((slope * far - aside) / radius);
+    return min(disc, 1.0 - visible_share(ball_edge(along, squared, radius, slope)));
+}
+
+fn form_factor(height: f32, size: f32) -> f32 {
+    let squared = size * size;
+    let above = squared - height * height;
+    if above <= 0.0 || squared >= 1.0 { return max(height, 0.0) * squared; }
+    let cosine = sqrt(1.0 - squared);
+    let cut = sqrt(above);
+    let rim = acos(clamp(-height * cosine / (size * sqrt(1.0 - height * height)), -1.0, 1.0));
+    return max(squared * height * rim - cut * cosine + atan(cut / cosine), 0.0) * (2.0 / TAU);
 }
 
 // The ray of a cone to point `i` of its section, spread evenly.
@@ -367,6 +418,8 @@ fn thin_share(thin: ptr<function, RayBundle>) -> f32 {
 // Fraction of a cone's section that passes, and whether it is proven.
 fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
     var share = 1.0;
+    // Sum of the fractions that the balls of instances in a cone of occlusion block.
+    var blocked = select(1.0, 0.0, HAS_WIDE && beam.is_coarse == WIDE);
     var is_proven = true;
     var x = 1.0;
     var thin = all_thin_rays();
@@ -381,14 +434,15 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
         }
         let opacity = instances[caster.index].opacity;
         var x_known = select(1.0, x, beam.is_coarse != 0u && opacity >= 1.0);
-        var ball = vec2f(-1.0, 1.0);
+        var ball = BallBeside(-1.0, 1.0, 1.0, false);
         let is_near = HAS_WIDE && beam.is_coarse == WIDE && caster.index < params.far;
         if is_near {
             // Cones of occlusion are wide: they enter the boxes of many instances and miss most of the surfaces inside.
             ball = ball_beside(caster.index, beam);
-            if ball.x >= 1.0 { continue; }
-            if ball.y <= LEAST_BALL {
-                share *= 1.0 - opacity * BALL_SHARE * ball.y;
+            if ball.least_x >= 1.0 { continue; }
+            if ball.covered <= LEAST_BALL {
+                blocked += opacity * min(ball.weight * ball.covered, 1.0);
+                share *= 1.0 - opacity * min(ball.weight * instances[caster.index].ball_fill * ball.covered, 1.0);
                 continue;
             }
             x_known = 1.0;
@@ -399,10 +453,14 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
         var cone = cone_past(caster, beam, ray, span, x_known, with_edges);
         if needs_edge { return vec2f(0.0); }
         // Beside a free axis a distance may be a loose bound.
-        if cone.x >= 0.0 { cone.x = max(cone.x, ball.x); }
+        if cone.x >= 0.0 { cone.x = max(cone.x, ball.least_x); }
         if is_near {
-            share *= 1.0 - opacity * (1.0 - beside_others(cone.x, ball.x, ball.y));
-            if share <= 0.0 { return vec2f(0.0); }
+            let hidden = 1.0 - visible_share(cone.x);
+            let own = min(ball.weight * min(hidden, ball.covered), 1.0);
+            let most_hidden = select(1.0, MOST_HIDDEN, ball.is_bound);
+            blocked += opacity * min(ball.weight * min(most_hidden * hidden, ball.covered), 1.0);
+            share *= (1.0 - opacity * own) * (1.0 - opacity * (1.0 - cone.beside));
+            if share <= 0.0 && blocked >= 1.0 { return vec2f(0.0); }
         } else if opacity < 1.0 {
             share *= 1.0 - opacity * (1.0 - visible_share(cone.x));
             is_proven = is_proven && (cone.is_covered || cone.x >= 1.0);
@@ -412,6 +470,7 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
             if x <= -1.0 && beam.is_coarse != 0u { return vec2f(0.0); }
         }
     }
+    if HAS_WIDE { share = max(share, 1.0 - blocked); }
     if HAS_THIN {
         share *= thin_share(&thin);
         is_proven = is_proven && !thin.is_tested;

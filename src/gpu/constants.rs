@@ -216,11 +216,19 @@ wgsl_constants! {
         /// Length in which an occluder at the end of a cone of occlusion fades out, in radii of the cone's end. An
         /// occluder covers the section only if the axis is inside it for a radius, so the fade may be as long as that.
         END_FADE: f32 as f32 = 0.5;
+        /// Number of cones of occlusion over a hemisphere: one along the normal and a ring of six.
+        AO_CONES: usize as u32 = 7;
+        /// Cosine and sine of the angle of the ring from the normal, 60 degrees.
+        AO_RING_COSINE: f32 as f32 = 0.5;
+        AO_RING_SINE: f32 as f32 = 0.866_025_4;
         /// Largest fraction of a wide cone's section that the ball of an instance covers if the instance is not
-        /// evaluated: such a cone changes the occlusion by at most an eighth of it. The second number is the fraction
-        /// of the ball that counts then, between 1 for a ball and about a half for a knot.
-        LEAST_BALL: f32 as f32 = 0.04;
-        BALL_SHARE: f32 as f32 = 0.7;
+        /// evaluated. It then covers its mean fraction of the ball.
+        LEAST_BALL: f32 as f32 = 0.1;
+        /// Largest ratio of the form factor of a ball to the fraction that it covers of all cones. In the gaps between
+        /// the cones a ball covers little of them.
+        MOST_WEIGHT: f32 as f32 = 2.0;
+        /// Largest ratio of the fraction that an instance covers to the one that its nearest edge shows.
+        MOST_HIDDEN: f32 as f32 = 4.0;
     }
     scene_beam {
         /// Number of consecutive cones with a common cut of the scene's tree, and of nodes of a cut.

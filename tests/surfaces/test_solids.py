@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pytest
+import trimesh
 
 import fieldbake as fb
 import meshes
@@ -64,6 +65,17 @@ def test_a_soup_gives_a_closed_mesh_or_an_error():
         except fb.MeshError:
             continue
         assert_solid(mesh)
+
+
+@pytest.mark.parametrize("fill", ["winding", "outer"])
+@pytest.mark.parametrize(("inner", "resolution"), [(0.5, 16), (0.5, 48), (0.3, 32), (0.9, 32)])
+def test_faces_inside_a_solid_leave_no_voids(inner: float, resolution: int, fill: str) -> None:
+    # Faces of the inner box pass through voxel centres at several of these resolutions.
+    box = trimesh.creation.box((2, 2, 2))
+    nested = np.r_[box.vertices, inner * box.vertices], np.r_[box.faces, box.faces + len(box.vertices)]
+    made = fb.solid(nested, resolution, fill=fill)
+    assert made.topology()["components"] == 1
+    assert abs(made.volume - 8) <= 1e-5
 
 
 def test_the_outer_fill_drops_what_lies_inside():

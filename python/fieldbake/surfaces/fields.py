@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -25,6 +26,16 @@ CURVE_STEPS = 4
 
 #: Crossings whose tangent planes are computed at once.
 BATCH = 1 << 20
+
+
+#: A sample counts as on a face up to this distance, voxels: the rounding of the level in the extraction of surfaces.
+ON_FACE = 2.0**-14
+
+#: Distance along each axis of the points around such a sample, voxels. A solid without a surface there contains them.
+AROUND = 2.0**-10
+
+#: The corners of the cube from -1 to 1.
+CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
 
 
 class Field(Protocol):
@@ -66,7 +77,20 @@ class MeshField:
         found = _core.bake_blocks(
             self.mesh._core, grid.lower, grid.upper, grid.shape, origins, SIDE, unsigned=self.unsigned
         )
-        return found.astype(np.float64)
+        distances = found.astype(np.float64)
+        if not self.unsigned:
+            self._move_off_inner_faces(distances, blocks)
+        return distances
+
+    def _move_off_inner_faces(self, distances: Array, blocks: Blocks) -> None:
+        """Give samples on faces inside the solid a negative value, because a sample on the level counts as outside."""
+        voxel = min(blocks.grid.spacing)
+        rows, columns = np.nonzero(np.abs(distances) <= ON_FACE * voxel)
+        if len(rows):
+            points = blocks.points.reshape(*distances.shape, 3)[rows, columns]
+            around = points[:, None] + AROUND * voxel * CORNERS
+            is_inside = (self.values(around.reshape(-1, 3)).reshape(len(rows), -1) < 0).all(axis=1)
+            distances[rows[is_inside], columns[is_inside]] = -AROUND * voxel
 
     def tangents(self, points: Array) -> tuple[Array, Array]:
         """Distances (n,) and unit gradients (n, 3)."""
@@ -116,7 +140,10 @@ class OuterField:
 
     def samples(self, blocks: Blocks) -> Array:
         """Signed distances at the samples of k blocks, (k, n)."""
-        return self._with_sides(MeshField(self.mesh, unsigned=True).samples(blocks), blocks.points)
+        # Samples on faces inside the solid must not count as outside.
+        least = AROUND * min(blocks.grid.spacing)
+        distances = self._with_sides(MeshField(self.mesh, unsigned=True).samples(blocks), blocks.points)
+        return np.where(np.signbit(distances), np.minimum(distances, -least), distances)
 
     def _with_sides(self, distances: Array, points: Array) -> Array:
         outside = self.sides.is_outside(np.ascontiguousarray(points)).reshape(distances.shape)

@@ -1,7 +1,8 @@
 //! Balls around the surfaces of instances.
 
 use super::instance::Instance;
-use crate::scene::fields::field::Field;
+use crate::geometry::clip;
+use crate::scene::fields::field::{Field, FieldRay};
 use glam::{DMat3, DVec3, Vec3};
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -16,27 +17,31 @@ pub struct Ball {
     pub radius: f32,
     /// The radius in field space. The centre is the centre of the surface's box.
     pub field_radius: f32,
+    /// Fraction of the ball's disc that the object covers, averaged over directions.
+    pub fill: f32,
 }
 
 impl Ball {
     /// The balls of all instances. An instance without a field has a ball of radius 0.
     pub fn of(instances: &[Instance]) -> Vec<Self> {
-        let mut known: HashMap<usize, (DVec3, f64)> = HashMap::new();
+        let mut found: HashMap<usize, (DVec3, f64, f32)> = HashMap::new();
         instances
             .iter()
             .map(|instance| {
                 let Some(field) = &instance.field else {
-                    return Self { center: Vec3::ZERO, radius: 0.0, field_radius: 0.0 };
+                    return Self { center: Vec3::ZERO, radius: 0.0, field_radius: 0.0, fill: 0.0 };
                 };
-                let (center, radius) =
-                    *known.entry(Arc::as_ptr(field).addr()).or_insert_with(|| surface_ball(field.as_ref()));
+                let (center, radius, fill) = *found.entry(Arc::as_ptr(field).addr()).or_insert_with(|| {
+                    let (center, radius) = surface_ball(field.as_ref());
+                    (center, radius, fill(field.as_ref(), center, radius))
+                });
                 let center = instance.field_from_scene.inverse().transform_point3(center).as_vec3();
                 let radius = radius as f32 * (1.0 + ROUNDING);
                 let scale = field.field_from_local().matrix3;
                 let units =
                     [scale.x_axis, scale.y_axis, scale.z_axis].map(DVec3::length).into_iter().fold(0.0, f64::max);
                 let field_radius = (radius * units as f32).min(field.surface_radius());
-                Self { center, radius: radius * instance.stretch[1], field_radius }
+                Self { center, radius: radius * instance.stretch[1], field_radius, fill }
             })
             .collect()
     }
@@ -83,6 +88,30 @@ fn surface_ball(field: &dyn Field) -> (DVec3, f64) {
     (center, radius)
 }
 
+/// Number of rays that measure how much of a ball its surface fills. The standard error is 0.06 or less.
+const FILL_RAYS: u32 = 64;
+
+/// Fraction of lines through a ball, uniform in direction and position, that intersect the surface in it.
+fn fill(field: &dyn Field, center: DVec3, radius: f64) -> f32 {
+    let [lower, upper] = field.surface_bounds();
+    let field_from_local = field.field_from_local().matrix3;
+    let hits = (0..FILL_RAYS).filter(|&i| {
+        // A spiral over the sphere, and a sequence of low discrepancy over the disc (Roberts 2018).
+        let z = 1.0 - (2.0 * f64::from(i) + 1.0) / f64::from(FILL_RAYS);
+        let (sine, cosine) = (f64::from(i) * 2.399_963_23).sin_cos();
+        let along = DVec3::new(cosine * (1.0 - z * z).sqrt(), sine * (1.0 - z * z).sqrt(), z);
+        let (right, up) = along.any_orthonormal_pair();
+        let [share, turn] = [0.754_877_666, 0.569_840_291].map(|step: f64| (0.5 + f64::from(i) * step).fract());
+        let (sine, cosine) = (std::f64::consts::TAU * turn).sin_cos();
+        let aside = radius * share.sqrt() * (cosine * right + sine * up);
+        let (start, direction) = (center + field_from_local * (aside - radius * along), field_from_local * along);
+        let Some((enter, leave)) = clip(start, direction, lower, upper, 0.0, 2.0 * radius) else { return false };
+        let ray = FieldRay { origin: (start + enter * direction).as_vec3(), direction: direction.as_vec3() };
+        field.first_hit(&ray, (leave - enter) as f32).0.is_some()
+    });
+    hits.count() as f32 / FILL_RAYS as f32
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -102,5 +131,8 @@ mod tests {
         // A cell of a sixteenth of the box has the diagonal 0.12. Its centre may be half of that and a voxel off the
         // surface.
         assert!((1.0..=1.0 + 0.12 + 0.0625).contains(&radius), "{radius}");
+        let share = fill(&field, center, 2.0);
+        assert!((share - 0.25).abs() <= 0.06, "{share}");
+        assert!(fill(&field, center, radius) >= 0.7);
     }
 }

@@ -128,8 +128,14 @@ impl Fields {
         let row = |(i, (instance, bounds, voxel)): (usize, (&Instance, &Aabb, f64))| {
             let record = instance.field.as_ref().and_then(|field| self.by_address[&address(field)].1);
             let row = instance_row(instance, bounds, record.unwrap_or(0));
-            let surface_radius = balls.get(i).map_or(row.surface_radius, |ball| ball.field_radius);
-            let row = SceneInstance { voxel: voxel as f32, surface_radius, ..row };
+            let row = SceneInstance { voxel: voxel as f32, ..row };
+            let row = balls.get(i).map_or(row, |ball| SceneInstance {
+                surface_radius: ball.field_radius,
+                ball_fill: ball.fill,
+                ball_center: ball.center.to_array(),
+                ball_radius: ball.radius,
+                ..row
+            });
             (row, instance.field.is_none() || record.is_some())
         };
         of_scene.chain(of_far).enumerate().map(row).unzip()

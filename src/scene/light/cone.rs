@@ -19,11 +19,13 @@ pub(crate) struct Cone {
     pub x: f32,
     /// Whether the whole section of the cone was inside the solid at some distance.
     pub is_covered: bool,
+    /// Fraction of the section beside the instance that others leave open at its edge; 1 except for wide cones.
+    pub beside: f32,
 }
 
 impl Cone {
-    pub(crate) const FREE: Self = Self { x: 1.0, is_covered: false };
-    pub(crate) const COVERED: Self = Self { x: -1.0, is_covered: true };
+    pub(crate) const FREE: Self = Self { x: 1.0, is_covered: false, beside: 1.0 };
+    pub(crate) const COVERED: Self = Self { x: -1.0, is_covered: true, beside: 1.0 };
 }
 
 /// Lower bound of the distance between a free axis and a surface, in radii, for the estimate `x` of

@@ -17,25 +17,27 @@
 //! because the balls of radius `slope x t` about the axis fill the cone of half-angle `asin(slope x)`.
 //!
 //! The section of a cone is much wider than a small or distant instance, whose edge is no chord of it. The ball covers
-//! at most `(sin B / slope)^2` of the section, and the instance covers no more ([`covered_by_ball`]). Only where others
-//! cover the rest is an edge darker than the ball alone ([`beside_others`]). An instance that covers little is not
-//! evaluated. The fractions that the instances let pass multiply.
+//! at most `(sin B / slope)^2` of the section, and the instance covers no more ([`covered_by_ball`]). The cones
+//! overlap, and light at the rim of a cone arrives at another angle than light along its axis. So the ratio of the form
+//! factor of the ball to the part of all cones that it covers weighs the instance ([`ball_weight`]). An instance that
+//! covers little is not evaluated: it covers its mean fraction of the ball ([`crate::scene::content::ball`]).
+//!
+//! The fractions that the instances let pass multiply, as if the instances were independent. Where one instance blocks
+//! the axis and others block the section beside its edge, they are not, and the cone is darker. It is never darker than
+//! if no two balls overlapped.
 
 use super::cone::{AO_SLOPE, AO_TANGENT, BallAhead, ConeSum, WideCone, clearance, visible_share};
 use super::light_rays::{LightCone, LightRay, LightWork, SurfacePoint, basis};
 use super::near_instances::{Beside, ConeOccluder, NearInstances};
 use super::occluder::bias;
 use super::shadow::Casters;
-use crate::gpu::constants::scene_beams::{BALL_SHARE, LEAST_BALL};
+use crate::gpu::constants::scene_beams::{
+    AO_CONES, AO_RING_COSINE, AO_RING_SINE, LEAST_BALL, MOST_HIDDEN, MOST_WEIGHT,
+};
 use crate::scene::content::model::Scene;
 use crate::scene::content::tree::Line;
 use crate::simd::with_vectors;
 use glam::Vec3;
-
-/// Cones over a hemisphere: one along the normal and a ring of six.
-pub(crate) const AO_CONES: usize = 7;
-/// Cosine and sine of the angle of the ring from the normal: 60 degrees.
-const AO_RING: (f64, f64) = (0.5, 0.866_025_403_784_438_6);
 
 /// Relative margin for the rounding of distances and bounds.
 const ROUNDING: f32 = 1e-5;
@@ -51,7 +53,8 @@ impl SurfacePoint {
             }
             let angle = (i - 1) as f64 * (std::f64::consts::TAU / (AO_CONES - 1) as f64);
             let aside = angle.cos() * right + angle.sin() * up;
-            (LightRay { direction: AO_RING.0 * normal + AO_RING.1 * aside, t_max: distance }, AO_RING.0 as f32)
+            let direction = f64::from(AO_RING_COSINE) * normal + f64::from(AO_RING_SINE) * aside;
+            (LightRay { direction, t_max: distance }, AO_RING_COSINE)
         })
     }
 }
@@ -78,6 +81,10 @@ pub(crate) struct Occluders {
     /// `slope c^2`. A cone may intersect a ball whose bound is at most this. Below all bounds if no cone from the place
     /// can intersect the ball.
     limit: Vec<f32>,
+    /// The axes of the cones and their weights.
+    cones: [(Vec3, f32); AO_CONES],
+    /// Weight of the ball ([`ball_weight`]); NaN until it is computed.
+    weight: Vec<f32>,
     /// The instances that the current cone may meet. The evaluated ones are at the end.
     candidates: Vec<ConeOccluder>,
 }
@@ -180,12 +187,14 @@ impl Occluders {
     /// Relates the balls of the nearby instances to a place.
     fn relate(&mut self, region: &Region) {
         let n = self.nearby.items.len();
-        let Self { nearby, toward: [x, y, z], squared, radius, tangent, limit, .. } = self;
+        let Self { nearby, toward: [x, y, z], squared, radius, tangent, limit, weight, .. } = self;
         for values in [&mut *x, y, z, squared, radius, tangent] {
             values.resize(n.next_multiple_of(LANES), 0.0);
         }
         limit.clear();
         limit.resize(n.next_multiple_of(LANES), f32::NEG_INFINITY);
+        weight.clear();
+        weight.resize(n, f32::NAN);
         let around = BallsAround { toward: [x, y, z], squared, radius, tangent, limit };
         with_vectors!((around: BallsAround<'_> = around, balls: [&[f32]; 4] = nearby.balls(), region: &Region = region) {
             around.update(balls, region)
@@ -204,22 +213,53 @@ impl Occluders {
 }
 
 /// Largest fraction of a cone's section that a ball covers: its own disc, as far as it lies within the rim of the cone,
-/// which is nearly straight there. The chord at the ball's edge, `x` radii from the axis, bounds a large ball. `along`
-/// is the position of the centre along the axis, `squared` its squared distance.
-fn covered_by_ball(along: f32, squared: f32, radius: f32, x: f32) -> f32 {
-    let aside = if along > 0.0 { (squared - along * along).max(0.0).sqrt() } else { squared.sqrt() };
+/// which is nearly straight there. The chord at the ball's edge bounds a large ball. `along` is the position of the
+/// centre along the axis, `squared` its squared distance, and the apex is outside the ball.
+fn covered_by_ball(along: f32, squared: f32, radius: f32) -> f32 {
+    let from_axis = (squared - along * along).max(0.0).sqrt();
+    let tangent = (squared - radius * radius).max(0.0).sqrt();
+    if along * tangent + from_axis * radius < 0.0 {
+        return 0.0;
+    }
+    let x = (from_axis * tangent - along * radius) / (AO_SLOPE * squared);
+    let aside = if along > 0.0 { from_axis } else { squared.sqrt() };
     let within = visible_share((AO_SLOPE * squared.sqrt() - aside) / radius);
     let disc = radius * radius / (AO_SLOPE * AO_SLOPE * squared);
     (disc * within).min(1.0 - visible_share(x))
 }
 
-/// Fraction of a cone's section that an instance lets pass, from its edge at `x` radii. It is at least the fraction
-/// beside its ball, whose edge is at `least_x` and which covers at most `ball`. If the axis is blocked and others cover
-/// the section beside the instance, the edge is nearer than `least_x`. The ball counts less there, and not at -1.
-fn beside_others(x: f32, least_x: f32, ball: f32) -> f32 {
-    let alone = ((1.0 + x) / (1.0 + least_x).max(ROUNDING)).clamp(0.0, 1.0);
-    let share = visible_share(x);
-    share + alone * (1.0 - ball - share).max(0.0)
+/// Fraction of the front of a ball that is within a distance of the apex. The front spans about a radius.
+fn within_reach(squared: f32, radius: f32, reach: f32) -> f32 {
+    ((reach + radius - squared.sqrt()) / radius).clamp(0.0, 1.0)
+}
+
+/// Fraction of the light from a uniform hemisphere that a ball blocks: its form factor. `height` is the cosine of the
+/// angle between the normal and the centre of the ball, `size` the sine of the ball's angular radius. The part below
+/// the horizon blocks nothing (Snyder, *Area light sources for real-time graphics*, Microsoft Research 1996).
+fn form_factor(height: f32, size: f32) -> f32 {
+    let squared = size * size;
+    let above = squared - height * height;
+    if above <= 0.0 || squared >= 1.0 {
+        return height.max(0.0) * squared;
+    }
+    let (cosine, cut) = ((1.0 - squared).sqrt(), above.sqrt());
+    let rim = (-height * cosine / (size * (1.0 - height * height).sqrt())).clamp(-1.0, 1.0).acos();
+    ((squared * height * rim - cut * cosine + (cut / cosine).atan()) / std::f32::consts::PI).max(0.0)
+}
+
+/// Ratio of the form factor of a ball to the weighted fraction that it covers of the cones from a place. Cones that
+/// overlap, and light at their rims that arrives at another angle than on their axes, make it differ from 1. `toward`
+/// is the vector to the centre of the ball, and the place is outside of it.
+fn ball_weight(cones: &[(Vec3, f32); AO_CONES], toward: Vec3, radius: f32) -> f32 {
+    let squared = toward.length_squared();
+    let (mut covered, mut weights) = (0.0, 0.0);
+    for &(axis, weight) in cones {
+        covered += weight * covered_by_ball(toward.dot(axis), squared, radius);
+        weights += weight;
+    }
+    let (distance, normal) = (squared.sqrt(), cones[0].0);
+    let factor = form_factor(toward.dot(normal) / distance, radius / distance);
+    if factor * weights < MOST_WEIGHT * covered { factor * weights / covered } else { MOST_WEIGHT }
 }
 
 impl Casters<'_> {
@@ -251,7 +291,7 @@ impl Casters<'_> {
         let Scene { tree, instances, .. } = self.scene;
         let p = place.p.as_vec3();
         let reach = distance as f32 * (1.0 + AO_SLOPE) * (1.0 + ROUNDING);
-        let depth = distance as f32 * (AO_SLOPE - AO_RING.0 as f32) + ROUNDING * reach;
+        let depth = distance as f32 * (AO_SLOPE - AO_RING_COSINE) + ROUNDING * reach;
         let balls = self.scene.balls();
         if !occluders.around.is_some_and(|(center, radius)| radius == reach && center.distance(p) <= SHARED * reach) {
             occluders.around = Some((p, reach));
@@ -262,6 +302,9 @@ impl Casters<'_> {
                     occluders.nearby.push(item, ball.center, ball.radius);
                 }
             });
+        }
+        for (cone, (ray, weight)) in occluders.cones.iter_mut().zip(place.open_rays(distance)) {
+            *cone = (ray.direction.as_vec3(), weight);
         }
         occluders.relate(&Region { p, normal: place.normal, reach, depth });
     }
@@ -282,10 +325,11 @@ impl Casters<'_> {
         let reach = self.reach(&split, ray);
         let line = Line::cone(place.p.as_vec3(), direction, slope);
         occluders.find_candidates(direction);
-        let Occluders { nearby, toward: [x, y, z], squared, radius, candidates, .. } = occluders;
+        let Occluders { nearby, toward: [x, y, z], squared, radius, cones, weight, candidates, .. } = occluders;
         let mut sum = ConeSum::NEW;
-        // The fraction that all instances without thin rays let pass.
-        let mut passes = 1.0f32;
+        // The fraction that all instances without thin rays let pass, each beside the others, and the sum of the
+        // fractions that their balls block.
+        let (mut passes, mut blocked) = (1.0f32, 0.0f32);
         for row in 0..candidates.len() {
             let nearest = candidates[row];
             let i = nearest.index as usize;
@@ -295,15 +339,24 @@ impl Casters<'_> {
             if nearest.x >= 1.0 || line.span(bounds.min, bounds.max, reach).is_none() {
                 continue;
             }
-            let along = Vec3::new(x[i], y[i], z[i]).dot(direction);
-            // Inside a ball the radius is 0.
-            let covered = match radius[i] {
-                0.0 => 1.0,
-                radius => covered_by_ball(along, squared[i], radius, nearest.x),
+            let toward = Vec3::new(x[i], y[i], z[i]);
+            let along = toward.dot(direction);
+            // Inside a ball the radius is 0, and the ball bounds nothing.
+            let (covered, weight, most_hidden) = match radius[i] {
+                0.0 => (1.0, 1.0, 1.0),
+                radius => {
+                    if weight[i].is_nan() {
+                        weight[i] = ball_weight(cones, toward, radius);
+                    }
+                    let covered = covered_by_ball(along, squared[i], radius);
+                    (within_reach(squared[i], radius, ray.t_max as f32) * covered, weight[i], MOST_HIDDEN)
+                }
             };
             let prefers_rays = instance.field.as_ref().is_some_and(|field| field.prefers_rays());
+            let block = |covered: f32| instance.shade * (weight * covered).min(1.0);
             if covered <= LEAST_BALL && !prefers_rays {
-                passes *= 1.0 - instance.shade * BALL_SHARE * covered;
+                passes *= 1.0 - block(self.scene.balls()[item as usize].fill * covered);
+                blocked += block(covered);
                 continue;
             }
             // The own field is evaluated from a point that is moved off the surface.
@@ -312,14 +365,17 @@ impl Casters<'_> {
                 BallAhead { along, squared: squared[i], radius: self.scene.balls()[item as usize].radius + moved };
             let wide = WideCone { beside: Beside { nearby, candidates, slope }, least_x: nearest.x, ball };
             // The sum has the thin rays of all instances, and nothing of the others.
-            let (mut found, mut own) = (1.0f32, ConeSum::NEW);
+            let (mut found, mut beside, mut own) = (1.0f32, 1.0f32, ConeSum::NEW);
             for caster in self.casters(item, place, ray, &split) {
                 let into = if prefers_rays { &mut sum } else { &mut own };
-                found = found.min(self.add_cone(&caster, cone, 1.0, Some(&wide), into, work).x);
+                let past = self.add_cone(&caster, cone, 1.0, Some(&wide), into, work);
+                (found, beside) = (found.min(past.x), beside.min(past.beside));
             }
             if !prefers_rays {
-                passes *= 1.0 - instance.shade * (1.0 - beside_others(found, nearest.x, covered));
-                if passes <= 0.0 {
+                let hidden = 1.0 - visible_share(found);
+                passes *= (1.0 - block(hidden.min(covered))) * (1.0 - instance.shade * (1.0 - beside));
+                blocked += block((most_hidden * hidden).min(covered));
+                if passes <= 0.0 && blocked >= 1.0 {
                     break;
                 }
             }
@@ -331,7 +387,7 @@ impl Casters<'_> {
         let wide = WideCone { beside: Beside { nearby, candidates, slope }, least_x: -1.0, ball: BallAhead::ENDLESS };
         let is_far = self.add_far(&split, cone, Some(&wide), &mut sum, work);
         work.count(is_far);
-        passes * sum.share().share
+        passes.max(1.0 - blocked) * sum.share().share
     }
 }
 
@@ -342,6 +398,23 @@ mod tests {
 
     fn vector() -> impl Strategy<Value = Vec3> {
         (-1.0..1.0f32, -1.0..1.0f32, -1.0..1.0f32).prop_map(|(x, y, z)| Vec3::new(x, y, z))
+    }
+
+    /// Small balls, balls cut by the horizon, and a ball that fills nearly half of the space, beside a sum over a
+    /// spiral of directions whose density is the cosine.
+    #[test]
+    fn form_factors_are_those_of_rays() {
+        for (height, size) in [(0.9, 0.1), (0.3, 0.5), (-0.2, 0.6), (0.0, 0.3), (0.5, 0.9), (0.95, 0.99), (-0.7, 0.6)] {
+            let center = Vec3::new((1.0f32 - height * height).sqrt(), 0.0, height);
+            let is_hit = |i: u32| {
+                let spread = (i as f32 + 0.5) / 40_000.0;
+                let aside = spread.sqrt() * Vec3::from((glam::Vec2::from_angle(2.399_963 * i as f32), 0.0));
+                (aside + Vec3::Z * (1.0 - spread).sqrt()).dot(center) >= (1.0f32 - size * size).sqrt()
+            };
+            let share = (0..40_000).filter(|&i| is_hit(i)).count() as f32 / 40_000.0;
+            let factor = form_factor(height, size);
+            assert!((factor - share).abs() <= 0.003, "{height} {size}: {factor} {share}");
+        }
     }
 
     proptest! {

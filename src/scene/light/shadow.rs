@@ -202,7 +202,7 @@ impl<'a> Casters<'a> {
             return Some(Cone::FREE);
         }
         sum.thin.block(caster.instance.shade, ray, slope, |thin| self.hit_of(caster, place, thin, work).is_some());
-        Some(Cone { x: 0.0, is_covered: false })
+        Some(Cone { x: 0.0, is_covered: false, beside: 1.0 })
     }
 
     /// Adds one occluder to the results of a cone to the whole light. The edge is known only as -1, 0 or 1 radii: the
@@ -216,7 +216,7 @@ impl<'a> Casters<'a> {
         let found = match walk.decide(&mut steps, |from| self.walk_hit(caster, &walk, from, work)) {
             Decision::Free => Cone::FREE,
             Decision::Blocked(t) if walk.inside(t, None, &mut steps).0 <= -1.0 => Cone::COVERED,
-            _ => Cone { x: 0.0, is_covered: false },
+            _ => Cone { x: 0.0, is_covered: false, beside: 1.0 },
         };
         work.steps += steps;
         sum.add(caster.instance, found);
@@ -415,7 +415,7 @@ impl<'a> Casters<'a> {
         let found = walk.beside(x_limit, &mut steps, |from| self.walk_hit(caster, &walk, from, work));
         work.steps += steps;
         match found {
-            Ok(x) => Cone { x, is_covered: false },
+            Ok(x) => Cone { x, is_covered: false, beside: 1.0 },
             Err(t) => self.blocked_cone(caster, &walk, t, cone, None, work),
         }
     }
@@ -435,7 +435,7 @@ impl<'a> Casters<'a> {
         let found = walk.beside_wide(wide, x_limit, &mut steps, hit_from);
         work.steps += steps;
         match found {
-            Ok(x) => Cone { x: x.max(wide.least_x), is_covered: false },
+            Ok(x) => Cone { x: x.max(wide.least_x), is_covered: false, beside: 1.0 },
             Err(t) => self.blocked_cone(caster, &walk, t, cone, Some(wide), work),
         }
     }
@@ -457,22 +457,26 @@ impl<'a> Casters<'a> {
         }
         let axes = basis(ray.direction).map(|axis| axis.as_vec3());
         let (rays, count) = walk.rays_past(deepest, axes, &mut work.steps);
-        let mut most = 0.0f32;
+        let (mut most, mut most_own) = (0.0f32, 0.0f32);
         for past in &rays[..count] {
             if past.most <= most {
                 break;
             }
-            most = most.max(self.clearance_past(caster, past, cone, most, wide, work));
+            let [own, all] = self.clearance_past(caster, past, cone, most, wide, work);
+            (most_own, most) = (most_own.max(own), most.max(all));
         }
+        let mut beside = if most_own > 0.0 { most / most_own } else { 1.0 };
         if wide.is_some() {
             // The end of the cone is open: an occluder at the end of the reach fades out.
-            most = most.max(1.0 - (ray.t_max as f32 - t_hit) / (END_FADE * walk.slope * ray.t_max as f32));
+            let fade = 1.0 - (ray.t_max as f32 - t_hit) / (END_FADE * walk.slope * ray.t_max as f32);
+            most = most_own.max(fade);
+            beside = beside.max(fade);
         }
-        Cone { x: most * (1.0 + deepest.0) - 1.0, is_covered: false }
+        Cone { x: most * (1.0 + deepest.0) - 1.0, is_covered: false, beside }
     }
 
-    /// The least clearance of a ray past an edge of an occluder, beside that occluder and all other opaque ones: radii
-    /// of the ray's narrow cone, from 0 to 1. The search ends if it is at most `least`.
+    /// The least clearances of a ray past an edge of an occluder, beside that occluder and beside all other opaque ones
+    /// too: radii of the ray's narrow cone, from 0 to 1. The search ends if the second one is at most `least`.
     fn clearance_past(
         &self,
         caster: &Occluder<'_>,
@@ -481,14 +485,15 @@ impl<'a> Casters<'a> {
         least: f32,
         wide: Option<&WideCone<'_>>,
         work: &mut LightWork,
-    ) -> f32 {
+    ) -> [f32; 2] {
         let direction = ray.direction + past.offset.as_dvec3();
         let length = direction.length();
         let ray = LightRay { direction: direction / length, t_max: ray.t_max * length };
         let cone = LightCone { place, ray: &ray, slope: past.slope };
         let split = self.split(place, &ray, past.slope);
         // The occluder itself is the likeliest to be near.
-        let mut clearance = past.most.min(self.clearance_beside(caster, cone, past.most, work));
+        let own = past.most.min(self.clearance_beside(caster, cone, past.most, work));
+        let mut clearance = own;
         let mut pass = |item: u32, limit: f32| {
             for other in self.casters(item, place, &ray, &split) {
                 // `caster` is all of its instance, unless a far field divides the ray.
@@ -517,7 +522,7 @@ impl<'a> Casters<'a> {
                 clearance = clearance.min(self.clearance_beside(&far, cone, clearance, work));
             }
         }
-        clearance
+        [own, clearance]
     }
 
     /// The clearance of the axis of a narrow cone beside one occluder in radii, from 0 to 1. A clearance above

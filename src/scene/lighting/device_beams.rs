@@ -3,13 +3,13 @@
 use super::light_buffer::{LightBuffer, parts_of, stride};
 use super::pass::Pass;
 use crate::error::{DeviceError, Error};
+use crate::gpu::constants::scene_beams::AO_CONES;
 use crate::gpu::layout::{Beam, BeamResult};
 use crate::scene::content::options::SceneShadows;
 use crate::scene::device::device_scene::{DeviceScene, WIDE, beam, work_of};
 use crate::scene::light::cone::AO_SLOPE;
 use crate::scene::light::light_rays::{LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
 use crate::scene::light::lit_surface::{LightSampleMut, LitSurface};
-use crate::scene::light::occlusion::AO_CONES;
 use glam::Vec3;
 use rayon::prelude::*;
 
