@@ -86,7 +86,8 @@ class Section:
         Returns
         -------
         str
-            The text of the picture. A world unit is a millimetre on paper, as in .3mf files; y points upwards.
+            The text of the picture. A world unit is a millimetre on paper, as in .3mf files; y points upwards. The
+            polygons keep their coordinates with ten digits, and :meth:`Profile.from_svg` reads them back.
 
         Raises
         ------

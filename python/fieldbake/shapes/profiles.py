@@ -74,7 +74,8 @@ class Profile:
         Parameters
         ----------
         source : str or path
-            A ``.svg`` file, or the data of a path, such as ``"M0 0 H10 A5 5 0 0 1 20 0 V8 Z"``. Open paths are closed.
+            A ``.svg`` file, or the data of a path, such as ``"M0 0 H10 A5 5 0 0 1 20 0 V8 Z"``. Text is data if it has
+            commands and numbers of paths alone, and no file has this name. Open paths are closed.
         rule : "even-odd" or "nonzero", optional
             The rule of the inside. The default is the attribute ``fill-rule`` of each element, else ``"nonzero"``.
         tolerance : float, optional
@@ -84,13 +85,16 @@ class Profile:
         Returns
         -------
         Profile
-            The union of all filled elements; strokes and text are ignored. One world unit is a millimetre of a picture
-            with a physical size, as :meth:`Section.to_svg` writes it, else a pixel. y points upwards.
+            The union of all filled elements. Strokes, text, and elements that are fully transparent are ignored, and so
+            are the contents of symbols, masks and markers; ``<use>`` draws a symbol. One world unit is a millimetre of
+            a picture with a physical size, as :meth:`Section.to_svg` writes it, else a pixel. The origin is the origin
+            of the user space of the outermost ``<svg>``, wherever its ``viewBox`` begins, and y points upwards. Thus
+            the polygons of :meth:`Section.to_svg` keep their coordinates.
 
         Raises
         ------
         ShapeError
-            If nothing is filled, or for a path that cannot be read.
+            If nothing is filled, for a path that cannot be read, or a picture whose size has an unknown unit.
         FileNotFoundError
             If there is no such file.
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import os
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,9 +14,13 @@ from ...base import checks
 from ...base.errors import ShapeError
 from ...base.optional import optional_module
 from .curves import TOLERANCE, Array, bezier_points
+from .svg_documents import svg_document
 
 #: Cubic curves in a full turn of an arc; each is within 1e-8 of the radius.
 ARC_PIECES = 32
+
+#: Text that can only be the data of a path: a move to a point, and then commands of paths, numbers and separators.
+_PATH_DATA = re.compile(r"\s*[Mm][\s,]*[-+]?\.?\d[MmZzLlHhVvCcSsQqTtAaeE\d\s,.+-]*")
 
 
 def svg_loops(source: str | os.PathLike[str], tolerance: float | None) -> list[tuple[list[Array], str]]:
@@ -22,7 +28,7 @@ def svg_loops(source: str | os.PathLike[str], tolerance: float | None) -> list[t
     library = optional_module("svgelements", "Profile.from_svg", extra="svg")
     if tolerance is not None and not tolerance > 0:
         raise ShapeError(f"tolerance: must be above 0, got {tolerance:g}")
-    if isinstance(source, str) and source.lstrip()[:1] in ("M", "m"):
+    if isinstance(source, str) and _is_path_data(source):
         try:
             paths = [(library.Path(source), "nonzero")]
         except (ValueError, IndexError, TypeError) as error:
@@ -38,24 +44,42 @@ def svg_loops(source: str | os.PathLike[str], tolerance: float | None) -> list[t
     return [(loops, rule) for loops, rule in found if loops]
 
 
-def _of_file(library: Any, path: os.PathLike[str]) -> list[tuple[Any, str]]:
+def _is_path_data(source: str) -> bool:
+    """Whether a text is the data of a path; a name that ends in .svg or of an existing file is a file."""
+    if source.lower().endswith(".svg") or not _PATH_DATA.fullmatch(source):
+        return False
+    return not os.path.isfile(source)  # noqa: PTH113 - a long path of SVG is no valid name, which Path.is_file refuses
+
+
+def _of_file(library: Any, path: Path) -> list[tuple[Any, str]]:
     from xml.etree.ElementTree import ParseError
 
     try:
-        # With this resolution a millimetre is one unit, and pixels stay one unit.
-        picture = library.SVG.parse(os.fspath(path), ppi=25.4)
+        document, viewbox = svg_document(path)
+        width, height = viewbox or (None, None)
+        picture = library.SVG.parse(document, ppi=25.4, width=width, height=height)
     except (ParseError, ValueError) as error:
+        if isinstance(error, ShapeError):
+            raise
         raise ShapeError(f"source: {path} is no SVG picture: {error}") from error
     paths = []
     for element in picture.elements():
         if not isinstance(element, library.Shape):
             continue
         values = element.values
-        if str(values.get("fill")) == "none" or values.get("visibility") == "hidden":
+        if _is_unfilled(element) or values.get("visibility") == "hidden":
             continue
         rule = "even-odd" if values.get("fill-rule") == "evenodd" else "nonzero"
         paths.append((library.Path(element).reify(), rule))
     return paths
+
+
+def _is_unfilled(element: Any) -> bool:
+    """Whether the fill of an element is none or a colour that is fully transparent. Gradients are filled."""
+    color = element.fill
+    return str(element.values.get("fill")) == "none" or (
+        color is not None and color.value is not None and not color.alpha
+    )
 
 
 def _flattened(library: Any, path: Any, tolerance: float) -> list[Array]:
