@@ -35,7 +35,15 @@ def test_a_volume_from_an_array():
     [
         (np.zeros((2, 2)), [(0, 0, 0), (1, 1, 1)], "distances"),
         (np.zeros((0, 2, 2)), [(0, 0, 0), (1, 1, 1)], "distances"),
-        (np.full((2, 2, 2), np.nan), [(0, 0, 0), (1, 1, 1)], r"distances\[0, 0, 0\]"),
+        (np.full((2, 2, 2), np.nan), [(0, 0, 0), (1, 1, 1)], r"distances\[0, 0, 0\]: must be finite, got nan"),
+        (np.full((2, 2, 2), -np.inf), [(0, 0, 0), (1, 1, 1)], r"distances\[0, 0, 0\]: must be finite, got -inf"),
+        (np.full((2, 2, 2), 1e300), [(0, 0, 0), (1, 1, 1)], r"distances\[0, 0, 0\]: must be finite"),
+        (np.pad([[[3e38]]], 1), [(0, 0, 0), (1, 1, 1)], r"distances\[1, 1, 1\]: must be at most 1e\+37 from 0, got 3"),
+        (
+            np.pad([[[-1.1e37]]], 1),
+            [(0, 0, 0), (1, 1, 1)],
+            r"distances\[1, 1, 1\]: must be at most 1e\+37 from 0, got -",
+        ),
         (np.full((2, 2, 2), 1e300), [(0, 0, 0), (1, 1, 1)], r"distances\[0, 0, 0\]"),
         (np.full((2, 2, 2), "a"), [(0, 0, 0), (1, 1, 1)], "distances"),
         (np.zeros((2, 2, 2)), [(0, 0, 0), (1, 0, 1)], "bounds"),
@@ -46,6 +54,17 @@ def test_a_volume_from_an_array():
 def test_a_volume_that_makes_no_sense(distances, bounds, message):
     with pytest.raises(fb.ArgumentError, match=message):
         fb.Volume(distances, bounds)
+
+
+def test_samples_of_the_largest_magnitude_have_finite_values_between():
+    samples = np.full((4, 4, 4), 1e37, np.float32)
+    samples[::2] = -1e37
+    volume = fb.Volume(samples, [(0, 0, 0), (4, 4, 4)])
+    points = np.random.default_rng(3).uniform(-2, 6, (500, 3))
+    assert np.isfinite(volume.sample(points)).all()
+    assert np.isfinite(volume.gradient(points)).all()
+    # The interpolation between -1e37 at x = 0.5 and 1e37 at x = 1.5, within the rounding of float32.
+    assert volume.sample([(0.75, 2, 2)]) == pytest.approx(-5e36, rel=1e-6)
 
 
 def test_a_volume_does_not_change(noise):

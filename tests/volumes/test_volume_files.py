@@ -140,6 +140,7 @@ HOSTILE = {
     "distances in the plane": lambda m: {**m, "distances.npy": npy(np.zeros((9, 35), np.float32))},
     "distances of another shape": lambda m: {**m, "distances.npy": npy(np.zeros((5, 7, 9), np.float32))},
     "distances not finite": lambda m: {**m, "distances.npy": npy(np.full(SHAPE, np.nan, np.float32, order="F"))},
+    "a distance beyond the range": lambda m: {**m, "distances.npy": npy(np.full(SHAPE, 3e38, np.float32, order="F"))},
     "more bytes than the shape says": lambda m: {**m, "distances.npy": m["distances.npy"] + b"\0" * 400},
     "fewer bytes than the shape says": lambda m: {**m, "distances.npy": m["distances.npy"][:-400]},
     "no array at all": lambda m: {**m, "distances.npy": b"hello"},
@@ -259,3 +260,19 @@ def test_a_file_of_something_else(tmp_path, name, content):
 def test_a_folder_is_no_file(tmp_path):
     with pytest.raises(fb.FormatError, match="directory"):
         fb.load(tmp_path)
+
+
+def test_quantized_and_sparse_samples_beyond_the_range_are_refused(sphere, tmp_path):
+    sphere.quantize("float16").save(tmp_path / "half.npz")
+    half = members_of(tmp_path / "half.npz")
+    write_archive(tmp_path / "half.npz", with_header(half, scale=1e37))
+    with pytest.raises(fb.FormatError, match=r"half\.npz"):
+        fb.load(tmp_path / "half.npz")
+
+    sphere.to_sparse().save(tmp_path / "sparse.npz")
+    sparse = members_of(tmp_path / "sparse.npz")
+    bricks = np.load(io.BytesIO(sparse["bricks.npy"])).astype(np.float32)
+    bricks[0, 0, 0, 0] = 3e38
+    write_archive(tmp_path / "sparse.npz", {**sparse, "bricks.npy": npy(bricks)})
+    with pytest.raises(fb.FormatError, match=r"the bricks must be finite and at most 1e\+37 from 0, got .* to 3e\+38"):
+        fb.load(tmp_path / "sparse.npz")

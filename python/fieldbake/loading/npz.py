@@ -51,9 +51,8 @@ def _read_quantized(
     encoding = _encoding(header, encodings.QUANTIZED)
     encoded = read_array(archive, members, "distances.npy")
     _check_samples(header, encoded, encoding, 3)
-    if encoding == "float16" and not np.isfinite(encoded).all():
-        raise FormatError("the distances are not all finite")
     scale = read_scale(header, encoding)
+    _check_magnitude("distances", encoded, encoding, scale)
     return QuantizedVolume._of(np.asfortranarray(encoded), encoding, scale, bounds, inner_bounds, report)
 
 
@@ -69,13 +68,13 @@ def _read_sparse(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], 
         raise FormatError("the bricks, their index or their nodes have the wrong shape")
     if arrays["index"].dtype != np.dtype("<u4") or arrays["nodes"].dtype != np.dtype("<f4"):
         raise FormatError("the index or the nodes have the wrong type")
-    if encoding not in encodings.STEPS and not np.isfinite(arrays["bricks"]).all():
-        raise FormatError("the bricks are not all finite")
-    if not (np.isfinite(arrays["nodes"]).all() and (arrays["nodes"] >= 0).all()):
-        raise FormatError("the nodes must be finite and not negative")
+    scale = read_scale(header, encoding)
+    _check_magnitude("bricks", arrays["bricks"], encoding, scale)
+    if not ((arrays["nodes"] >= 0) & (arrays["nodes"] <= checks.FAR)).all():
+        raise FormatError(f"the nodes must be from 0 to {checks.FAR:g}")
     corners = checks.triple(bounds[0]), checks.triple(bounds[1])
     size = int(shape[0]), int(shape[1]), int(shape[2])
-    field = restore_field(corners, size, _positive(header, "band"), read_scale(header, encoding), arrays)
+    field = restore_field(corners, size, _positive(header, "band"), scale, arrays)
     return SparseVolume._wrap(field, bounds, inner_bounds, report)
 
 
@@ -120,6 +119,17 @@ def _check_samples(header: dict[str, Any], samples: NDArray[Any], encoding: str,
         raise FormatError(f"distances must be {dtype} of shape {wanted}, got {checks.describe(samples)}")
     if ndim == 3 and header.get("resolution") != list(samples.shape):
         raise FormatError(f"the header states {header.get('resolution')} voxels, the distances are {samples.shape}")
+
+
+def _check_magnitude(name: str, samples: NDArray[Any], encoding: str, scale: float) -> None:
+    """Check that samples of floats are finite and in the range of the package; normalized integers always are."""
+    if encoding in encodings.STEPS or not samples.size:
+        return
+    with np.errstate(invalid="ignore"):
+        lowest, highest = scale * float(samples.min()), scale * float(samples.max())
+    # Both comparisons are false for nan.
+    if not (lowest >= -checks.FAR and highest <= checks.FAR):
+        raise FormatError(f"the {name} must be finite and at most {checks.FAR:g} from 0, got {lowest:g} to {highest:g}")
 
 
 def _encoding(header: dict[str, Any], known: tuple[str, ...]) -> str:
@@ -169,8 +179,9 @@ def make_atlas(
     size = atlas.page_size
     if pages.dtype != encodings.DTYPES[atlas.encoding] or pages.ndim != 3 or pages.shape[1:] != (size, size):
         raise FormatError(f"pages must be (pages, {size}, {size}) {atlas.encoding}, got {checks.describe(pages)}")
-    if not pages.flags.c_contiguous or not _all_finite(pages):
-        raise FormatError("pages must be finite and stored row by row")
+    if not pages.flags.c_contiguous:
+        raise FormatError("pages must be stored row by row")
+    _check_magnitude("pages", pages, atlas.encoding, 1.0)
 
     rows = len(arrays["blocks"]) if arrays["blocks"].ndim else 0
     wanted: dict[str, tuple[tuple[int, ...], str]] = {

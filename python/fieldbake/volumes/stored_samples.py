@@ -185,10 +185,12 @@ def check_distances(value: ArrayLike) -> NDArray[np.float32]:
         raise ArgumentError(f"distances: must have shape (nx, ny, nz), got {checks.describe(array)}")
     with np.errstate(over="ignore", invalid="ignore"):
         samples = np.asfortranarray(array, dtype=np.float32)
-    # The sum is finite only if all samples are. The slower search runs only if it is not.
+    # The sum of the squares is finite in float32 only if all samples are below 2e19. Else the slower search runs.
+    flat = samples.ravel(order="K")
     with np.errstate(over="ignore", invalid="ignore"):
-        suspicious = not np.isfinite(samples.sum(dtype=np.float64))
-    if suspicious and not (finite := np.isfinite(samples)).all():
-        where = tuple(np.argwhere(~finite)[0].tolist())
-        raise ArgumentError(f"distances[{', '.join(map(str, where))}]: must be finite, got {samples[where]}")
+        suspicious = not np.isfinite(np.dot(flat, flat))
+    if suspicious and not (valid := np.abs(samples) <= np.float32(checks.FAR)).all():
+        where = tuple(np.argwhere(~valid)[0].tolist())
+        wanted = f"at most {checks.FAR:g} from 0" if np.isfinite(samples[where]) else "finite"
+        raise ArgumentError(f"distances[{', '.join(map(str, where))}]: must be {wanted}, got {samples[where]}")
     return samples

@@ -68,7 +68,7 @@ class Volume(StoredSamples, Loadable, Shaded):
     Raises
     ------
     ArgumentError
-        For a wrong shape, a distance that is not finite, or an empty box.
+        For a wrong shape, a distance that is not finite or more than 1e37 from 0, or an empty box.
 
     Examples
     --------

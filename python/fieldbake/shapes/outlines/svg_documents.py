@@ -68,8 +68,8 @@ def svg_document(path: Path) -> tuple[io.BytesIO, tuple[float, float] | None]:
         scale = (1.0, 1.0)
     for name in ("viewBox", "preserveAspectRatio", "width", "height", "x", "y"):
         root.attrib.pop(name, None)
-    style = [entry for entry in root.get("style", "").split(";") if entry.partition(":")[0].strip() not in _LENGTHS]
-    root.set("style", ";".join(style))
+    kept = [entry for entry in root.get("style", "").split(";") if entry.partition(":")[0].strip() not in _LENGTHS]
+    root.set("style", ";".join(kept))
     root.set("transform", f"{root.get('transform', '')} scale({scale[0]!r},{scale[1]!r})")
     return _written(document), (width, height)
 
