@@ -20,6 +20,7 @@ from ..volumes import writers
 from .application import app, err, show_rows
 from .shared.folders import bake_folder
 from .shared.saving import Encoding, Engine, check_encoding, save_field
+from .shared.shapes import geometry_in_file, shape_in_file
 from .shared.streams import check_output, input_file, is_stream, output_file
 from .shared.tables import atlas_rows, volume_rows
 
@@ -98,7 +99,8 @@ def bake(
     mesh: Annotated[
         list[Path],
         typer.Argument(
-            help="Mesh files: baked into one field, or into a folder one by one. - reads standard input.",
+            help="Meshes or shapes (.csg or implicit .3mf): baked into one field, or into a folder one by one. - reads "
+            "standard input.",
             metavar="MESH",
         ),
     ],
@@ -194,7 +196,9 @@ def bake(
     with ExitStack() as stack:
         paths = [stack.enter_context(input_file(path, source)) for path in mesh]
         target = stack.enter_context(output_file(output, ending))
-        geometries: Any = [str(path) for path in paths] if len(paths) > 1 else paths[0]
+        geometries: Any = [geometry_in_file(path) for path in paths]
+        if len(paths) == 1:
+            (geometries,) = geometries
         if sparse:
             if device not in ("auto", "cpu"):
                 raise typer.BadParameter("bricks are baked on the CPU", param_hint="--device")
@@ -218,7 +222,7 @@ def bake(
 
 @app.command()
 def merge(
-    scene: Annotated[Path, typer.Argument(help="A glTF or GLB scene, or any mesh file.")],
+    scene: Annotated[Path, typer.Argument(help="A glTF or GLB scene, or any mesh or shape file.")],
     output: Annotated[Path, typer.Option("--output", "-o", help=f"The file to write: {', '.join(ENDINGS['volume'])}.")],
     resolution: Resolution = "128",
     device: Device = "auto",
@@ -226,7 +230,12 @@ def merge(
     """Merge all instances of a scene into one field whose samples never exceed the distance."""
     check_output(output, ENDINGS["volume"])
     is_scene = scene.suffix.lower() in (".gltf", ".glb")
-    geometries = fb.load_scene(scene) if is_scene else [fb.load_mesh(scene)]
+    geometries: Any
+    if is_scene:
+        geometries = fb.load_scene(scene)
+    else:
+        shape = shape_in_file(scene)
+        geometries = [fb.load_mesh(scene) if shape is None else shape]
     field = fb.merge(geometries, resolution, device=device, progress=err.is_terminal)
     field.save(output)
     show_rows(f"{output}", volume_rows(field.volume))
@@ -235,7 +244,7 @@ def merge(
 @app.command()
 def pack(
     files: Annotated[
-        list[Path], typer.Argument(help="Baked fields (.npz, .dds, ...), and meshes, which are baked first.")
+        list[Path], typer.Argument(help="Baked fields (.npz, .dds, ...), and meshes and shapes, which are baked first.")
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The atlas to write: .npz, .exr or .png.")],
     layout: Annotated[
@@ -276,7 +285,7 @@ def pack(
                 kind = type(volume).__name__
                 raise fb.FormatError(f"{file}: must hold a volume, a mesh or a sparse volume to be packed, got: {kind}")
         else:
-            volume = fb.bake(file, sides, device=device, progress=err.is_terminal)
+            volume = fb.bake(geometry_in_file(file), sides, device=device, progress=err.is_terminal)
         volumes.append(volume)
     atlas = fb.pack(
         volumes,

@@ -18,6 +18,7 @@ from ..points.files import READERS
 from .application import app, show_rows
 from .commands import MESHES
 from .shared.saving import Encoding, Engine, check_encoding, save_field
+from .shared.shapes import shape_in_file
 from .shared.streams import check_output, input_file, is_stream, output_file
 from .shared.tables import facts_of, rows_of
 
@@ -37,7 +38,7 @@ Mipmaps = Annotated[bool, typer.Option("--mipmaps", help="Add coarser levels to 
 @app.command()
 def info(
     files: Annotated[
-        list[Path], typer.Argument(help="Files written by fieldbake, grids, meshes or points.", metavar="FILE")
+        list[Path], typer.Argument(help="Files written by fieldbake, grids, meshes, shapes or points.", metavar="FILE")
     ],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per file.")] = False,
     kind: Annotated[str | None, typer.Option("--from", help="Format of the file if FILE is -, such as npz.")] = None,
@@ -88,6 +89,12 @@ def convert(
             if ending not in MESHES:
                 raise fb.FormatError(f"{file}: is a mesh and not a fieldbake file; `fieldbake bake` computes its field")
             found.save(target)
+        elif isinstance(found, fb.Shape):
+            if ending in MESHES:
+                way = f"`fieldbake mesh {file} -o {output}` makes its mesh"
+            else:
+                way = f"`fieldbake bake {file} -o {output}` computes its field"
+            raise fb.FormatError(f"{file}: holds a shape, which needs a resolution; {way}")
         elif ending in MESHES:
             if not isinstance(found, (fb.Volume, fb.SparseVolume)):
                 raise fb.FormatError(f"{file}: holds a {type(found).__name__}, which has no single surface")
@@ -127,5 +134,7 @@ def _holds_points(path: Path) -> bool:
 
 
 def _load(path: Path) -> Any:
-    is_ours = path.suffix.lower() in FIELDS
-    return fb.load(path) if is_ours else fb.load_mesh(path)
+    if path.suffix.lower() in FIELDS:
+        return fb.load(path)
+    shape = shape_in_file(path)
+    return fb.load_mesh(path) if shape is None else shape

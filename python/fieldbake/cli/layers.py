@@ -13,6 +13,7 @@ from ..files.registry import ENDINGS
 from ..slicing import files
 from .application import app, err, show_rows
 from .commands import Device, parse_bounds
+from .shared.shapes import geometry_in_file
 from .shared.streams import check_output
 
 
@@ -29,7 +30,9 @@ def parse_pixel(text: str) -> list[float]:
 
 @app.command()
 def slice(
-    file: Annotated[Path, typer.Argument(help="A mesh, a baked field (.npz, .dds, ...) or an s-expression (.csg).")],
+    file: Annotated[
+        Path, typer.Argument(help="A mesh, a baked field (.npz, .dds, ...) or a shape (.csg or implicit .3mf).")
+    ],
     output: Annotated[
         Path, typer.Option("--output", "-o", help="The file to write: .zip with an image of each layer, or .svg.")
     ],
@@ -48,14 +51,13 @@ def slice(
 ) -> None:
     """Slice a solid into layers for a printer: images in a .zip archive, or outlines as .svg."""
     check_output(output, files.ENDINGS)
-    ending = file.suffix.lower()
-    solid: Any = file
-    if ending in (".csg", ".sexpr"):
-        solid = fb.csg.parse(file.read_text(encoding="utf-8"))
-    elif ending in ENDINGS["volume"]:
+    solid: Any
+    if file.suffix.lower() in ENDINGS["volume"]:
         solid = fb.load(file)
         if not isinstance(solid, (fb.Volume, fb.SparseVolume)):
             raise fb.FormatError(f"{file}: holds a {type(solid).__name__}, which has no single surface")
+    else:
+        solid = geometry_in_file(file)
     layers = fb.slices(solid, layer, pixel=pixel, bounds=bounds, device=device, progress=err.is_terminal)
     layers.save(output)
     width, height = layers.size

@@ -20,6 +20,7 @@ from ..physics.closing import closed_mesh, has_one_side
 from ..physics.models import MAX_DEPTH, mesh_in_file
 from .application import app, show_rows
 from .commands import MESHES, parse_bounds, resolution_option
+from .shared.shapes import shape_in_file
 from .shared.streams import check_clobber, check_output
 
 
@@ -107,7 +108,9 @@ def _cook_for_newton(files: list[Path], output: Path, resolution: Any, as_json: 
 
 @app.command()
 def sweep(
-    geometry: Annotated[Path, typer.Argument(help="The moving body: a mesh, or a robot as .urdf or .xml (MJCF).")],
+    geometry: Annotated[
+        Path, typer.Argument(help="The moving body: a mesh, a shape, or a robot as .urdf or .xml (MJCF).")
+    ],
     motion: Annotated[
         Path,
         typer.Argument(
@@ -145,7 +148,8 @@ def sweep(
     elif ending in (".xml", ".mjcf"):
         body = fb.Assembly.from_mjcf(geometry)
     else:
-        body = fb.load_mesh(geometry)
+        shape = shape_in_file(geometry)
+        body = fb.load_mesh(geometry) if shape is None else shape
     try:
         rows = np.load(motion, allow_pickle=False)
     except (ValueError, EOFError) as error:

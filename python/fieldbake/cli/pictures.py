@@ -18,6 +18,7 @@ from . import demo as demonstration
 from .application import app, err, out
 from .commands import MESHES, Device, Resolution, parse_vector
 from .shared.picture_options import Size, with_picture_options
+from .shared.shapes import read_sexpr, shape_in_file
 from .shared.streams import check_clobber, check_output
 
 
@@ -25,7 +26,11 @@ from .shared.streams import check_clobber, check_output
 @with_picture_options
 def render(
     files: Annotated[
-        list[Path], typer.Argument(help="Scenes, meshes and baked fields, drawn in one picture.", metavar="FILE")
+        list[Path],
+        typer.Argument(
+            help="Scenes, meshes, baked fields and shapes (.csg or implicit .3mf), drawn in one picture.",
+            metavar="FILE",
+        ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write: .png, .jpg, ...")],
     resolution: Resolution = "64",
@@ -91,12 +96,10 @@ def _scene(
     material = None if color is None else fb.Material(color=color)
     lights: list[Any] | None = None if not light else [fb.DirectionalLight(way, angle_deg=angle_deg) for way in light]
     voxels = resolution if isinstance(resolution, int) else max(resolution)
-    scenes = [
-        fb.Scene([fb.Instance(fb.load(file))])
-        if file.suffix.lower() in ENDINGS["volume"]
-        else fb.load_scene(file, resolution=voxels)
-        for file in files
-    ]
+    scenes = []
+    for file in files:
+        found: Any = fb.load(file) if file.suffix.lower() in ENDINGS["volume"] else shape_in_file(file)
+        scenes.append(fb.load_scene(file, resolution=voxels) if found is None else fb.Scene([fb.Instance(found)]))
     instances = [
         item if material is None else fb.Instance(item.geometry, item.transform, material, resolution=item.resolution)
         for scene in scenes
@@ -117,7 +120,7 @@ def _scene(
 
 @app.command()
 def csg(
-    model: Annotated[Path, typer.Argument(help="A text file with one s-expression.")],
+    model: Annotated[Path, typer.Argument(help="A text file with one s-expression, or an implicit .3mf.")],
     output: Annotated[
         Path,
         typer.Option(
@@ -146,7 +149,9 @@ def csg(
     else:
         check_picture(output)
         check_clobber(output)
-    shape = fb.csg.parse(model.read_text(encoding="utf-8"))
+    shape = shape_in_file(model)
+    if shape is None:
+        shape = read_sexpr(model)
     if parts:
         found = fb.csg.decompose(shape, "aabb" if method == "aabb" else "octree")
         table = Table("boxes", "part", title=f"{len(found)} parts, {found.structures} structures", title_justify="left")

@@ -12,6 +12,7 @@ import fieldbake as fb
 from ..files.registry import ENDINGS
 from .application import app, show_rows
 from .commands import MESHES, parse_vector, resolution_option
+from .shared.shapes import shape_in_file
 from .shared.streams import check_output
 
 Output = Annotated[Path, typer.Option("--output", "-o", help="The mesh file to write: .stl, .obj, .ply, .glb or .3mf.")]
@@ -28,7 +29,9 @@ OPERATIONS = {"-": "difference", "+": "union", "|": "union", "&": "intersection"
 
 @app.command()
 def mesh(
-    file: Annotated[Path, typer.Argument(help="A baked field (.npz, .dds, ...), an s-expression (.csg), or a mesh.")],
+    file: Annotated[
+        Path, typer.Argument(help="A baked field (.npz, .dds, ...), a shape (.csg or implicit .3mf) or a mesh.")
+    ],
     output: Output,
     level: Annotated[
         float, typer.Option(help="Value of the field on the surface, world units; for fields and shapes.")
@@ -61,22 +64,21 @@ def mesh(
         raise typer.BadParameter("needs --shell", param_hint="--open")
     if offset is not None and shell is not None:
         raise typer.BadParameter("give either --offset or --shell", param_hint="--shell")
-    ending = file.suffix.lower()
-    is_field = ending in ENDINGS["volume"]
+    is_field = file.suffix.lower() in ENDINGS["volume"]
     if inside == "above" and not is_field:
         raise typer.BadParameter("is for fields, not for shapes and meshes", param_hint="--inside")
-    if is_field or ending in (".csg", ".sexpr"):
+    shape = None if is_field else shape_in_file(file)
+    if is_field or shape is not None:
         if offset is not None or shell is not None:
             raise typer.BadParameter("is for meshes; use --level for fields and shapes", param_hint="--offset, --shell")
         if simplify:
             raise typer.BadParameter("is for meshes, not for fields and shapes", param_hint="--simplify")
-        if is_field:
+        if shape is None:
             field = fb.load(file)
             if not hasattr(field, "to_mesh"):
                 raise fb.FormatError(f"{file}: holds a {type(field).__name__}, which has no surface")
             made = field.to_mesh(level, inside=inside)
         else:
-            shape = fb.csg.parse(file.read_text(encoding="utf-8"))
             made = (shape.offset(level) if level else shape).to_mesh(resolution)
         if not len(made.faces):
             raise fb.MeshError(f"{file}: has no surface at the level {level:g}")

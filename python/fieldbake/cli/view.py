@@ -13,6 +13,7 @@ import fieldbake as fb
 
 from ..base.encodings import PAGE_NAMES
 from .application import app, out
+from .shared.shapes import shape_in_file
 
 #: Kinds of files that hold a whole scene.
 SCENES = (".glb", ".gltf")
@@ -20,7 +21,9 @@ SCENES = (".glb", ".gltf")
 
 @app.command()
 def view(
-    files: Annotated[list[Path], typer.Argument(help="Meshes, volumes, atlases, shapes (.csg, .sexpr) or scenes.")],
+    files: Annotated[
+        list[Path], typer.Argument(help="Meshes, volumes, atlases, shapes (.csg or implicit .3mf) or scenes.")
+    ],
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="The page, or with several files the folder, to write.")
     ] = None,
@@ -53,10 +56,10 @@ def view(
 
 def _read(file: Path) -> Any:
     """Read the object of a file."""
-    kind = file.suffix.lower()
-    if kind in (".csg", ".sexpr"):
-        return fb.csg.parse(file.read_text(encoding="utf-8"))
-    if kind in SCENES:
+    shape = shape_in_file(file)
+    if shape is not None:
+        return shape
+    if file.suffix.lower() in SCENES:
         return fb.load_scene(file)
     try:
         return fb.load(file)

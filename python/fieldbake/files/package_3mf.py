@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
@@ -80,6 +81,15 @@ def mesh_texts(vertices: NDArray[np.float64], faces: NDArray[Any]) -> Iterator[s
 
 def _batches(rows: NDArray[Any]) -> Iterator[NDArray[Any]]:
     return (rows[first : first + _ROW_BATCH] for first in range(0, len(rows), _ROW_BATCH))
+
+
+def has_function(path: Path) -> bool:
+    """Whether a file is a package whose model has an implicit function. A damaged package has none."""
+    with path.open("rb") as stream:
+        try:
+            return b"implicitfunction" in read_model(stream)
+        except FormatError:
+            return False
 
 
 def read_model(stream: IO[bytes]) -> bytes:

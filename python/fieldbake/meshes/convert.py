@@ -23,6 +23,7 @@ from .. import _core
 from ..base import checks
 from ..base.errors import MeshError
 from ..base.former_names import former_names
+from ..files.package_3mf import has_function
 from .formats.gltf_materials import Document
 from .formats.plain_files import read_plain
 from .formats.ply_strips import with_strips
@@ -239,6 +240,10 @@ def _pieces(geometry: MeshLike, name: str) -> list[_Piece]:
         return [piece for number, item in enumerate(geometry) for piece in _pieces(item, f"{name}[{number}]")]
     if (found := triangles_of(geometry)) is not None:
         return [_Piece(check_vertices(found.vertices), check_faces(found.faces), chord_error=found.chord_error)]
+    if hasattr(geometry, "to_mesh"):
+        kind = type(geometry).__name__
+        own = "shape" if kind == "Shape" else "volume" if kind.endswith("Volume") else "object"
+        raise MeshError(f"{name}: must be a mesh, got a {kind}; {own}.to_mesh() makes a mesh of it")
     raise MeshError(
         f"{name}: cannot make a mesh of {checks.describe(geometry)}; give a path, a trimesh object, "
         "(vertices, faces), an object of PyVista, Open3D, meshio, build123d or CadQuery, (mesh, transform), or a list "
@@ -291,6 +296,11 @@ def _read_file(path: str | os.PathLike[str], take: Callable[[Any, Document | Non
         plain = read_plain(ending, head)
     except MemoryError as error:
         raise checks.too_large(file) from error
+    if ending in (".csg", ".sexpr"):
+        raise MeshError(
+            f"{path}: is an s-expression and no mesh; `fieldbake mesh {path} -o MESH.stl` makes a mesh, and in Python "
+            "fb.csg.parse(text).to_mesh()"
+        )
     if plain is not None:
         (vertices, faces), name = plain
         return [_Piece(vertices, faces, parts=[Part(name or file.name, range(len(faces)))])]
@@ -334,9 +344,14 @@ def _read_file(path: str | os.PathLike[str], take: Callable[[Any, Document | Non
             ".3mf, .dae and others that trimesh reads"
         ) from error
     except Exception as error:  # Readers of damaged files raise exceptions of any type.
+        if ending == ".3mf" and has_function(file):
+            raise MeshError(
+                f"{path}: has an implicit function and no triangles; `fieldbake mesh {path} -o MESH.stl` makes a mesh, "
+                "and in Python fb.load(path).to_mesh()"
+            ) from error
         reason = str(error) or _NAMELESS.get(type(error), type(error).__name__)
         if ending == ".3mf" and isinstance(error, KeyError):
-            reason = f"object {reason} has no triangles; load reads an implicit function"
+            reason = f"object {reason} has no triangles"
         raise MeshError(f"{path}: cannot be read as a mesh ({file.suffix.lstrip('.').upper()}): {reason}") from error
     if document is not None:
         document.warn(os.fspath(path))

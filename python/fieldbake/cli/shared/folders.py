@@ -14,7 +14,9 @@ import fieldbake as fb
 
 from ...base.notices import about_surface
 from ...scaling import records
+from ...scaling.library import distinct_stems
 from ..application import err, out
+from .shapes import geometry_in_file
 
 
 def bake_folder(
@@ -28,7 +30,11 @@ def bake_folder(
 ) -> None:
     """Bake each mesh into the folder; exit with status 1 if one failed."""
     bar = err.is_terminal
-    rows = fb.bake_many(meshes, folder, workers=jobs, limit_s=limit_s, resume=not fresh, progress=bar, **options)
+    items: Any = [geometry_in_file(path) for path in meshes]
+    if any(isinstance(item, fb.Shape) for item in items):
+        stems = [stem for stem, _ in distinct_stems([(path.stem, path) for path in meshes])]
+        items = dict(zip(stems, items, strict=True))
+    rows = fb.bake_many(items, folder, workers=jobs, limit_s=limit_s, resume=not fresh, progress=bar, **options)
     finish(rows, folder)
 
 

@@ -74,6 +74,14 @@ def mesh_rows(mesh: fb.Mesh) -> list[tuple[str, str]]:
     return rows
 
 
+def bounds_of(shape: fb.Shape) -> Any:
+    """Bounds of a shape, (2, 3); None for a shape without a finite box."""
+    try:
+        return shape.bounds
+    except fb.ShapeError:
+        return None
+
+
 def rows_of(found: Any, ending: str) -> list[tuple[str, str]]:
     """Labels and texts of any object that a file can store."""
     if isinstance(found, fb.Atlas):
@@ -84,6 +92,9 @@ def rows_of(found: Any, ending: str) -> list[tuple[str, str]]:
         return volume_rows(found)
     if isinstance(found, fb.PointCloud):
         return [("box", box_text(found.bounds)), *found.report.rows()]
+    if isinstance(found, fb.Shape):
+        bounds = bounds_of(found)
+        return [("shape", repr(found)), ("box", "unbounded or empty" if bounds is None else box_text(bounds))]
     return [("holds", repr(found))]
 
 
@@ -93,6 +104,9 @@ def facts_of(found: Any) -> dict[str, Any]:
     if isinstance(found, fb.Mesh):
         facts |= {"vertices": len(found.vertices), "faces": len(found.faces), "bounds": found.bounds.tolist()}
         return facts | found.topology()
+    if isinstance(found, fb.Shape):
+        bounds = bounds_of(found)
+        return facts | {"expression": found.to_sexpr(), "bounds": None if bounds is None else bounds.tolist()}
     if isinstance(found, fb.PointCloud):
         names = ("points", "duplicates", "spacing", "spacing_95", "normals", "inside_out", "area", "outliers")
         facts |= {name: getattr(found.report, name) for name in (*names, "low_opacity", "round_splats")}
