@@ -343,6 +343,10 @@ def test_mistakes_name_the_argument():
         (lambda: fb.clearance(BALL, BALL, cutoff=np.nan), "cutoff: must be a number, got nan"),
         (lambda: fb.clearance(BALL, BALL, relative_tolerance=0), "relative_tolerance: must be a finite number above 0"),
         (lambda: fb.clearance(BALL, ()), "b: has no geometry"),
+        (
+            lambda: fb.clearance(BALL, robot),
+            r"b\[0\]: must be one solid, got Assembly.*clearance\(poses, environment=solid",
+        ),
         (lambda: robot.clearance(pairs=[("a", "x")]), r"pairs\[0\]: 'x' is no body"),
         (lambda: robot.clearance(pairs=[(0, 3)]), r"pairs\[0\]"),
         (lambda: robot.clearance(pairs=3), "pairs: must be an iterable of two bodies"),
@@ -354,7 +358,7 @@ def test_mistakes_name_the_argument():
             call()
     with pytest.raises(fb.MeshError):
         fb.clearance((np.zeros((3, 3)), [[0, 1, 2]]), BALL)
-    with pytest.raises(fb.ArgumentError, match="pairs: the bodies 0 and 1 are both unbounded"):
+    with pytest.raises(fb.ArgumentError, match=r"^a, b: both solids are unbounded.*intersect one"):
         fb.clearance(fb.plane((0, 0, 1)), fb.slab(1))
     # There is no proof for the overlap of an open mesh.
     with pytest.warns(fb.SurfaceWarning, match="open"):

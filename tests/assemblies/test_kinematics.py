@@ -205,6 +205,22 @@ def test_roots_move_the_whole_tree(files, random):
     assert np.abs(moved - place[:, None] @ robot.poses(values)).max() <= ROUNDING
 
 
+def test_one_row_of_values_serves_several_poses_of_the_root(files, random):
+    robot = fb.Assembly.from_urdf(files["arm"])
+    place = np.tile(np.eye(4), (3, 2, 1, 1))
+    place[..., :3, 3] = random.uniform(-1, 1, (3, 2, 3))
+    values = random.uniform(-1, 1, 8)
+
+    moved = robot.poses(values, roots={"link0": place})
+
+    assert moved.shape == (3, 2, len(robot.body_names), 4, 4)
+    assert np.abs(moved - place[..., None, :, :] @ robot.poses(values)).max() <= ROUNDING
+    # Two rows of values, and one pose for each of them in three variants.
+    pair = random.uniform(-1, 1, (2, 8))
+    both = robot.poses(pair, roots={"link0": place})
+    assert np.abs(both - place[..., None, :, :] @ robot.poses(pair)).max() <= ROUNDING
+
+
 @pytest.mark.parametrize("name", ["two", "arm", "gripper"])
 def test_the_jacobian_is_the_derivative_of_points_fixed_to_bodies(files, name, random):
     robot = fb.Assembly.from_urdf(files[name])
@@ -264,7 +280,16 @@ def test_mistakes_name_the_argument(files):
         (lambda: robot.poses({"knee": 1.0}), "values: 'knee' is no joint with its own value"),
         (lambda: robot.poses([0, 0], roots={"upper": np.eye(4)}), "roots: 'upper' is no body without a parent"),
         (lambda: robot.poses([0, 0], roots={"base": 2 * np.eye(4)}), r"roots\['base'\]: must be a rotation"),
-        (lambda: robot.poses([0, 0], roots={"base": np.ones((3, 4, 4))}), r"roots\['base'\]: must have shape"),
+        (lambda: robot.poses([0, 0], roots={"base": np.ones((3, 4, 4))}), r"roots\['base'\]\[0\]: must be a rotation"),
+        (
+            lambda: robot.poses(np.zeros((2, 2)), roots={"base": np.stack([np.eye(4)] * 3)}),
+            r"roots\['base'\]: must be one pose \(4, 4\), or poses \(..., 4, 4\) for the leading shape \(2,\)",
+        ),
+        (lambda: robot.poses([0, 0], roots={"base": np.eye(3)}), r"roots\['base'\]: must be one pose \(4, 4\)"),
+        (
+            lambda: robot.jacobian([0, 0], 0, np.zeros(3), roots={"base": np.stack([np.eye(4)] * 3)}),
+            "roots: have 3 poses; give as many rows of values and points",
+        ),
         (lambda: robot.jacobian([0, 0], "foot", np.zeros(3)), "bodies: 'foot' is no body"),
         (lambda: robot.jacobian([0, 0], 7, np.zeros(3)), "bodies: rows must be from 0 to 2"),
         (lambda: robot.jacobian([0, 0], [0, 1], np.zeros((3, 3))), r"bodies: must have shape \(3,\)"),

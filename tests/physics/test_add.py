@@ -124,8 +124,10 @@ def test_geometry_without_a_surface_is_an_error():
         fb.mujoco.add(spec, fb.sphere(1) & fb.sphere(1).translate((1.99, 0, 0)), name="lens", resolution=8)
     with pytest.raises(fb.ShapeError):
         fb.mujoco.add(spec, fb.plane("z", 0), name="floor")
-    with pytest.raises(fb.MeshError):
+    with pytest.raises(fb.MeshError, match=r"^geometry: cannot make a mesh of 3"):
         fb.mujoco.add(spec, 3, name="three")
+    with pytest.raises(fb.MeshError, match=r"^geometry: must be a mesh, got a Volume; volume.to_mesh\(\) makes a mesh"):
+        fb.mujoco.add(spec, fb.bake(fb.box(1), 9), name="volume")
 
 
 def test_without_mujoco_the_error_names_the_extra():

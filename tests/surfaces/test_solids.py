@@ -313,6 +313,14 @@ def far_box():
         (lambda: fb.solid(meshes.box(), 24, fill="outer", seal=-1), "seal"),
         (lambda: fb.solid(meshes.box(), 24, seal=2), "seal"),
         (lambda: fb.solid(object(), 24), "mesh"),
+        (lambda: fb.solid(fb.box(2)), r"^mesh: must be a mesh, got a Shape; shape.to_mesh\(\) makes"),
+        (lambda: fb.offset(fb.box(2), 1), r"^mesh: must be a mesh, got a Shape; shape.to_mesh\(\) makes"),
+        (lambda: fb.boolean("union", meshes.box(), fb.box(2)), r"^b: must be a mesh, got a Shape; shape.to_mesh\(\)"),
+        (lambda: fb.solid(fb.bake(fb.box(2), 9)), r"^mesh: must be a mesh, got a Volume; volume.to_mesh\(\)"),
+        (
+            lambda: fb.solid([fb.bake_sparse(fb.box(2), 9)]),
+            r"^mesh\[0\]: must be a mesh, got a SparseVolume; volume.to_m",
+        ),
     ],
 )
 def test_mistakes_are_mesh_errors(call, match):

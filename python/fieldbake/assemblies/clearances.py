@@ -56,7 +56,7 @@ def clearance(
     Raises
     ------
     ArgumentError
-        For a pose that is not rigid, or an option out of range.
+        For a pose that is not rigid, two unbounded solids, or an option out of range.
     MeshError, ShapeError
         If a geometry cannot be used.
 
@@ -96,7 +96,15 @@ def clearance(
     for name, elements in zip("ab", bodies, strict=True):
         if not elements:
             raise ArgumentError(f"{name}: has no geometry")
-    found = of_pairs(bodies, np.array(places), [(0, 1)], cutoff, relative_tolerance, None)
+    try:
+        found = of_pairs(bodies, np.array(places), [(0, 1)], cutoff, relative_tolerance, None)
+    except ArgumentError as error:
+        if not str(error).startswith("pairs: "):
+            raise
+        # The only pair is wrong if both bodies are unbounded.
+        raise ArgumentError(
+            "a, b: both solids are unbounded, so they have no clearance; intersect one of them with a box"
+        ) from None
     return found._replace(pairs=np.full((1, 2), -1, dtype=np.int64))
 
 

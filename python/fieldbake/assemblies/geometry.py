@@ -48,6 +48,11 @@ def searchable(geometry: Any, resolution: int) -> tuple[Mesh | Shape, float]:
     if isinstance(geometry, GridField):
         mesh = geometry.to_mesh(progress=False)
         return mesh, _deviation(mesh, geometry.sample)
+    if hasattr(geometry, "body_names"):
+        raise ArgumentError(
+            f"must be one solid, got {checks.describe(geometry)}; its method clearance(poses, environment=solid) "
+            "compares its bodies with a solid"
+        )
     return as_mesh(geometry), 0.0
 
 

@@ -97,7 +97,8 @@ class JointedBodies:
             Joint values in the order of `joint_names`, radians or world units. A mapping is one row; joints that it
             does not name are 0. Limits are not enforced.
         roots : mapping of str to (4, 4) or (..., 4, 4), optional
-            Poses of bodies without a parent. The default is the identity, or the pose in the file.
+            Poses of bodies without a parent. The default is the identity, or the pose in the file. The leading shapes
+            of the values and the poses are broadcast: one row of values serves several poses.
 
         Returns
         -------
@@ -107,7 +108,8 @@ class JointedBodies:
         Raises
         ------
         ArgumentError
-            For a wrong number of values, an unknown joint or root, or a pose that is not rigid.
+            For a wrong number of values, an unknown joint or root, a pose that is not rigid, or leading shapes that do
+            not agree.
 
         Examples
         --------
@@ -117,21 +119,23 @@ class JointedBodies:
         [0.0, 0.0, 2.0]
         """
         array = self._checked_values(values)
-        return np.ascontiguousarray(forward(self._tree, array, self._root_poses(roots, array.shape[:-1]), np)[0])
+        places, lead = self._root_poses(roots, array.shape[:-1])
+        array = np.broadcast_to(array, (*lead, array.shape[-1]))
+        return np.ascontiguousarray(forward(self._tree, array, places, np)[0])
 
     def _forward(self, values: Any, xp: Any) -> Any:
         """Poses of all bodies by values of another array library."""
         count = len(self._tree.free)
         if values.ndim == 0 or values.shape[-1] != count:
             raise ArgumentError(f"values: must have shape (..., {count}), got {tuple(values.shape)}")
-        return forward(self._tree, values, self._root_poses(None, ()), xp)[0]
+        return forward(self._tree, values, self._root_poses(None, ())[0], xp)[0]
 
     def _chains(self, values: ArrayLike) -> list[tuple[Any, list[tuple[Any, str, Any, list[float]]]]]:
         """The pose of the root of each body, and the joints from there: origin, kind, axis, and a value per row."""
         array = self._checked_values(values)
         tree = self._tree
         all_values = array @ tree.rates.T + tree.offsets
-        roots = self._root_poses(None, ())
+        roots, _ = self._root_poses(None, ())
         chains: list[tuple[Any, list[tuple[Any, str, Any, list[float]]]]] = [([], [])] * len(tree.parents)
         for i in tree.order:
             if tree.parents[i] < 0:
@@ -199,7 +203,11 @@ class JointedBodies:
         except ValueError:
             raise ArgumentError(f"bodies: must have shape {shape}, as the points have, got {rows.shape}") from None
         lead = array.shape[:-1]
-        frames = forward(self._tree, array, self._root_poses(roots, lead), np)[1]
+        places, common = self._root_poses(roots, lead)
+        if common != lead:
+            raise ArgumentError(f"roots: have {common[0]} poses; give as many rows of values and points, "
+                                f"got values of shape {array.shape}")  # fmt: skip
+        frames = forward(self._tree, array, places, np)[1]
         result = jacobian(self._tree, frames, rows.reshape(*lead, -1), flat.reshape(*lead, -1, 3))
         return result.reshape(*shape, 3, len(self._tree.free))
 
@@ -223,8 +231,14 @@ class JointedBodies:
             raise ArgumentError(f"values[{', '.join(map(str, np.argwhere(~np.isfinite(result))[0]))}]: must be finite")
         return result
 
-    def _root_poses(self, roots: Mapping[str, ArrayLike] | None, lead: tuple[int, ...]) -> list[Any]:
-        """Poses of the roots; one entry for each body, None for bodies with a parent."""
+    def _root_poses(
+        self, roots: Mapping[str, ArrayLike] | None, lead: tuple[int, ...]
+    ) -> tuple[list[Any], tuple[int, ...]]:
+        """Poses of the roots, and the leading shape of them and the values, which have the leading shape `lead`.
+
+        There is one entry for each body, None for bodies with a parent.
+        """
+        rows = lead
         given = dict({} if roots is None else roots)
         result: list[Any] = [None] * len(self._bodies)
         for name, i in self._rows.items():
@@ -238,13 +252,13 @@ class JointedBodies:
             try:
                 if array.shape[-2:] != (4, 4):
                     raise ValueError
-                np.broadcast_to(array, (*lead, 4, 4))
+                lead = np.broadcast_shapes(lead, array.shape[:-2])
             except ValueError:
-                raise ArgumentError(f"roots[{name!r}]: must have shape (4, 4) or {(*lead, 4, 4)}, "
-                                    f"got {array.shape}") from None  # fmt: skip
+                wanted = f"one pose (4, 4), or poses (..., 4, 4) for the leading shape {rows} of the values"
+                raise ArgumentError(f"roots[{name!r}]: must be {wanted}, got the shape {array.shape}") from None
             check_rigid(f"roots[{name!r}]", array)
             result[self._rows[name]] = array
-        return result
+        return result, lead
 
     def _body_rows(self, name: str, bodies: Any, least: int = 0) -> NDArray[np.int64]:
         """Rows of bodies that are given by names or rows, which are at least `least`."""

@@ -138,9 +138,14 @@ def as_mesh(geometry: MeshLike) -> Mesh:
     >>> fb.as_mesh((corners, [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])).is_closed
     True
     """
+    return named_mesh("mesh", geometry)
+
+
+def named_mesh(name: str, geometry: MeshLike) -> Mesh:
+    """Convert the argument with this name to a Mesh, as :func:`as_mesh` does."""
     if isinstance(geometry, Mesh):
         return geometry
-    return _mesh(_pieces(geometry, "mesh"), os.fspath(geometry) if isinstance(geometry, (str, os.PathLike)) else None)
+    return _mesh(_pieces(geometry, name), os.fspath(geometry) if isinstance(geometry, (str, os.PathLike)) else None)
 
 
 def _mesh(pieces: Sequence[_Piece], path: str | None) -> Mesh:

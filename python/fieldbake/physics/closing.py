@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import MeshError
-from ..meshes.convert import as_mesh
+from ..meshes.convert import named_mesh
 from ..meshes.mesh import Mesh
 from ..queries.nearest import winding_number
 from ..shapes.shape import Shape
@@ -33,7 +33,7 @@ def closed_mesh(geometry: Any, resolution: int) -> Mesh:
         if not len(mesh.faces):
             raise MeshError(f"geometry: the shape has no surface at the resolution {resolution}; raise it")
         return mesh
-    mesh = as_mesh(geometry)
+    mesh = named_mesh("geometry", geometry)
     return mesh if has_one_side(mesh) else solid(mesh, resolution)
 
 

@@ -16,7 +16,7 @@ from ..base.grid import Grid, Resolution, check_count, make_grid
 from ..base.notices import warn_surface
 from ..base.progress import Progress, part, watched
 from ..base.report import count_text
-from ..meshes.convert import MeshLike, as_mesh
+from ..meshes.convert import MeshLike, as_mesh, named_mesh
 from ..meshes.isosurface import MeshSource, Source, extract
 from ..meshes.mesh import Mesh
 from ..points.cloud import PointCloud
@@ -354,7 +354,7 @@ def boolean(
     6.4
     """
     _word("op", op, ("union", "intersection", "difference"))
-    first, second = as_mesh(a), as_mesh(b)
+    first, second = named_mesh("a", a), named_mesh("b", b)
     smooth = _number("smooth", smooth, least=0)
     tolerance = check_tolerance(simplify)
     # A fillet of the union reaches a quarter of its width outside the operands.
