@@ -269,3 +269,21 @@ def test_mistakes_are_told(call, error, message):
     volume = fb.bake(meshes.tetrahedron(), 8)
     with pytest.raises(error, match=message):
         call(volume)
+
+
+def test_the_stated_limits_of_cut_and_sparse_volumes_hold(random):
+    # A cube of side 4 in a box that ends at x = -1: the field outside the box is about the part in it.
+    cut = fb.bake(fb.box(4), 24, bounds=[(-1, -1, -1), (3, 3, 3)])
+    points = np.array([(-1.5, 0, 0), (-1.9, 0.5, 0.5)])
+    assert (cut.sample(points) > 0).all()
+    assert (fb.box(4).distance(points) < 0).all()
+    # The depth in the bricks of a ball is exceeded by the diagonal of a brick at most.
+    sparse = fb.bake_sparse(fb.sphere(1), 48)
+    points = random.uniform(-0.57, 0.57, (2000, 3))
+    depth = 1 - np.linalg.norm(points, axis=1)
+    voxel = float(sparse.spacing.max())
+    for field, slack in ((sparse, 0.0), (fb.merge([sparse], 48), 3**0.5 * voxel)):
+        found = -field.sample(points)
+        assert (found >= depth - 7 * 3**0.5 * voxel - slack - 1e-6).all()
+        # Between samples, trilinear interpolation of a cell may be too deep by half its diagonal.
+        assert (found <= depth + 3**0.5 * voxel).all()

@@ -62,7 +62,8 @@ def bake(
         Side of a cubic voxel, world units. It replaces `resolution`, so only one of the two may be given.
     bounds : (2, 3) array, optional
         Box to sample, world units. The default is the box of the mesh and its margin. With a single number as
-        `resolution`, the box is enlarged about its centre to whole voxels. It may cut the mesh or lie beside it.
+        `resolution`, the box is enlarged about its centre to whole voxels. It may cut the mesh or lie beside it. The
+        volume of a box that cuts the mesh is about the part in the box: outside it :meth:`Volume.sample` is positive.
     margin : float, default 0.1
         The box of the mesh is scaled by ``1 + margin`` about its centre. At least one voxel remains on each side.
     sign : str, default "auto"

@@ -104,8 +104,11 @@ def merge(
     a voxel centre of a rigidly placed volume. Elsewhere in the box of that volume it is less than the distance by up to
     half the diagonal of its voxel, 0.87 voxels. At distance `a` from the box it is ``sqrt(a^2 + s^2)``, where `s` is
     the bound at the nearest point of the box. Under scale it is multiplied by the least stretch. The bound holds up to
-    the error of the samples of the volumes. Between samples, trilinear interpolation exceeds the distance by at most
-    half the diagonal of a merged voxel; 8 % of a voxel was measured around seven links of a robot.
+    the error of the samples of the volumes. A volume whose box cuts its solid counts as the part in the box, so the
+    field may exceed the distance from the whole solid outside that box. Inside a SparseVolume, beyond its band, the
+    bound is one of the depth: the field may exceed the negative distance by up to 12 voxels of that volume. Between
+    samples, trilinear interpolation exceeds the distance by at most half the diagonal of a merged voxel; 8 % of a voxel
+    was measured around seven links of a robot.
 
     A merged surface therefore lies up to 0.87 voxels of its volume outside the surface, and flat faces at an angle to
     the grid ripple in pictures. A box of 44 voxels, turned by 0.4 radians about (1, 2, 3) and merged at 96 voxels, is

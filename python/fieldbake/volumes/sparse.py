@@ -41,8 +41,8 @@ class SparseVolume(GridField, Loadable, Shaded, Convertible):
     The grid is divided into bricks of 7^3 cells. Neighbouring bricks share the samples on their faces. A brick with a
     sample in the band is stored. One brick with cells of 2 or 4 voxels replaces the bricks that it covers if its
     samples agree with theirs to the tolerance. All other bricks store only their sign and the distances at their
-    corners. Between those corners the field is a proven lower bound on the distance, so rays may leap over empty
-    bricks.
+    corners. Between those corners the magnitude of the field is a proven lower bound on the distance from the surface,
+    so rays may leap over empty bricks.
 
     Examples
     --------

@@ -105,7 +105,8 @@ class StoredSamples(GridField):
         -------
         (n,) float32
             World units. Outside the box: the proven lower bound sqrt(a^2 + s^2), where `a` is the distance from the box
-            of the outermost samples and `s` a lower bound at the nearest point of that box.
+            of the outermost samples and `s` a lower bound at the nearest point of that box. The bound is about the part
+            of the solid in the box: if the box cuts the solid, the bound is positive also where the solid continues.
 
         Raises
         ------
