@@ -517,6 +517,29 @@ def test_shapes_do_not_change():
     assert "sphere" in repr(shape)
 
 
+def test_turned_and_nested_shapes_are_equal_to_their_copies(tmp_path) -> None:
+    random, shape = np.random.default_rng(8), fb.box((1, 2, 3))
+    for _ in range(200):
+        axis, angle = random.normal(size=3), random.uniform(-800, 800)
+        turned = shape.rotate(axis, angle)
+        copy = pickle.loads(pickle.dumps(turned))
+        assert copy == turned
+        assert copy.to_sexpr() == turned.to_sexpr()
+        # Rodrigues' formula.
+        x, y, z = axis / np.linalg.norm(axis)
+        cross, radians = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]), np.radians(angle)
+        rotation = np.eye(3) + np.sin(radians) * cross + (1 - np.cos(radians)) * cross @ cross
+        points = random.normal(size=(20, 3))
+        error = turned.distance(points @ rotation.T) - shape.distance(points)
+        assert np.abs(error).max() <= 1e-12
+    turned.save(tmp_path / "turned.3mf", implicit=True)
+    assert fb.load(tmp_path / "turned.3mf").to_sexpr() == turned.to_sexpr()
+    nested = fb.box() & fb.sphere(0.6) & fb.torus(0.4, 0.2)
+    assert pickle.loads(pickle.dumps(nested)) == nested
+    assert nested != fb.box() & (fb.sphere(0.6) & fb.torus(0.4, 0.2))
+    assert fb.box().rotate((0, 0, -1), 30) == fb.box().rotate((0, 0, 1), -30)
+
+
 @pytest.mark.parametrize("call", [lambda shape: shape.to_mesh(16), lambda shape: fb.bake(shape, 16)])
 def test_a_shape_of_parts_that_do_not_overlap_has_no_grid(call):
     with pytest.raises(fb.ArgumentError, match="parts do not overlap"):

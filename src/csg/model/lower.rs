@@ -218,7 +218,9 @@ impl Builder {
                 let coat = Coat { above: context.coat, color, over: true, mask: Some(mask) };
                 tasks.push(Task::Visit(&children[0], InheritedState { coat: Some(Arc::new(coat)), ..context }));
             }
-            Kind::Move(_) | Kind::Rotate { .. } | Kind::Scale(_) | Kind::Reflect(_) => unreachable!("placed above"),
+            Kind::Move(_) | Kind::Rotate { .. } | Kind::Turn(_) | Kind::Scale(_) | Kind::Reflect(_) => {
+                unreachable!("placed above")
+            }
         }
         Ok(())
     }

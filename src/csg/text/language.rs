@@ -21,7 +21,7 @@ use crate::csg::tree::language_table::{NumberSource, Word};
 use crate::csg::tree::primitive::{Primitive, WORDS};
 use crate::csg::tree::profile::Profile;
 use crate::csg::tree::region::{Region, Rule};
-use crate::csg::tree::shape::Shape;
+use crate::csg::tree::shape::{Shape, is_coordinate_axis};
 use crate::error::ShapeError;
 use glam::{DQuat, DVec3};
 use std::fmt::Write;
@@ -340,9 +340,17 @@ impl<'a> ReadForm<'a> {
                     return Err(self.start.error("the quaternion of rotate is zero"));
                 }
                 self.expect_shapes(written, 1, 1)?;
-                let turn = DQuat::from_xyzw(x / largest, y / largest, z / largest, w / largest).normalize();
-                let (axis, angle) = turn.to_axis_angle();
-                self.shapes[0].changed("rotate", &[axis.x, axis.y, axis.z, angle.to_degrees()])
+                let turn = DQuat::from_xyzw(x / largest, y / largest, z / largest, w / largest);
+                if turn.xyz() == DVec3::ZERO || is_coordinate_axis(turn.xyz()) {
+                    let (axis, angle) = turn.normalize().to_axis_angle();
+                    return self.shapes[0].changed("rotate", &[axis.x, axis.y, axis.z, angle.to_degrees()]);
+                }
+                // A quaternion that has unit length but for rounding keeps its bits, so that a written shape is the
+                // same when it is read.
+                let written = DQuat::from_xyzw(x, y, z, w);
+                let is_unit = (written.length_squared() - 1.0).abs() <= 8.0 * f64::EPSILON;
+                let turn = if is_unit { written } else { turn.normalize() };
+                self.shapes[0].changed("turn", &turn.to_array())
             }
             ("align", &[x, y, z]) => {
                 self.expect_shapes(written, 1, 1)?;
@@ -425,15 +433,7 @@ pub(crate) fn to_sexpr(shape: &Shape) -> Result<String, ShapeError> {
         head(shape.kind(), &mut out)?;
         steps.push(Step::Text(")"));
         // An operator over the same sharp operator is written as one, from the left.
-        let mut flat: Vec<&Shape> = shape.children().iter().rev().collect();
-        while let Some(first) = flat.last().copied()
-            && matches!(shape.kind(), Kind::Combine { blend: Blend::Sharp, .. })
-            && first.kind() == shape.kind()
-        {
-            flat.pop();
-            flat.extend(first.children().iter().rev());
-        }
-        for child in flat {
+        for child in shape.operands() {
             steps.push(Step::Visit(child));
             steps.push(Step::Text(" "));
         }
@@ -484,8 +484,7 @@ fn head(kind: &Kind, out: &mut String) -> Result<(), ShapeError> {
             Some((word, numbers)) => put(&[word], &numbers),
             // A rotation about any axis is a quaternion.
             None => {
-                if let Kind::Rotate { axis, degrees } = change {
-                    let turn = DQuat::from_axis_angle(*axis, degrees.rem_euclid(720.0).to_radians());
+                if let Kind::Turn(turn) = change {
                     put(&["rotate"], &turn.to_array());
                 }
             }

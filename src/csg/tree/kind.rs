@@ -3,7 +3,7 @@
 use super::checks::not_negative;
 use super::primitive::Primitive;
 use crate::error::ShapeError;
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 
 /// Operation of a node on its children.
 #[derive(Debug, Clone, PartialEq)]
@@ -15,11 +15,13 @@ pub enum Kind {
         blend: Blend,
     },
     Move(DVec3),
-    /// Right-handed rotation about a unit axis through the origin.
+    /// Right-handed rotation about one of the coordinate axes.
     Rotate {
         axis: DVec3,
         degrees: f64,
     },
+    /// Rotation by a unit quaternion, about any other axis.
+    Turn(DQuat),
     Scale(f64),
     /// All points within this distance; a negative distance shrinks the solid.
     Offset(f64),
@@ -121,6 +123,7 @@ impl Kind {
         Some(match self {
             Self::Move(by) => ("translate", by.to_array().to_vec()),
             Self::Rotate { axis, degrees } => ("rotate", vec![axis.x, axis.y, axis.z, *degrees]),
+            Self::Turn(turn) => ("turn", turn.to_array().to_vec()),
             Self::Scale(factor) => ("scale", vec![*factor]),
             Self::Offset(distance) => ("offset", vec![*distance]),
             Self::Shell(thickness) => ("shell", vec![*thickness]),

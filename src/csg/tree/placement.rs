@@ -29,6 +29,7 @@ impl Placement {
         match *kind {
             Kind::Move(translation) => Some(Self { translation, ..Self::HERE }),
             Kind::Rotate { axis, degrees } => Some(Self { rotation: rotation(axis, degrees), ..Self::HERE }),
+            Kind::Turn(turn) => Some(Self { rotation: DMat3::from_quat(turn), ..Self::HERE }),
             Kind::Scale(scale) => Some(Self { scale, ..Self::HERE }),
             Kind::Reflect(normal) => Some(reflection(normal)),
             _ => None,

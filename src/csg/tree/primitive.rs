@@ -217,7 +217,8 @@ impl Primitive {
                 Self::BoxFrame { half, thickness }
             }
             ("torus", &[radius, tube]) => {
-                Self::Torus { radius: not_negative("radius", radius)?, tube: positive("tube", tube)? }
+                let (radius, tube) = (not_negative("radius", radius)?, positive("tube", tube)?);
+                Self::Torus { radius: ring_radius(radius, tube), tube }
             }
             ("capped_torus", &[radius, tube, angle_deg]) => {
                 if !(angle_deg > 0.0 && angle_deg <= 360.0) {
@@ -225,7 +226,8 @@ impl Primitive {
                     return Err(ShapeError::argument("angle_deg", problem));
                 }
                 let half_angle = 0.5 * angle_deg.to_radians();
-                Self::CappedTorus { radius: positive("radius", radius)?, tube: positive("tube", tube)?, half_angle }
+                let (radius, tube) = (positive("radius", radius)?, positive("tube", tube)?);
+                Self::CappedTorus { radius: ring_radius(radius, tube), tube, half_angle }
             }
             ("cylinder", &[radius, height]) => {
                 Self::Cylinder { radius: positive("radius", radius)?, half_height: 0.5 * positive("height", height)? }
@@ -513,4 +515,9 @@ impl Primitive {
             _ => (1.0, 0.0),
         }
     }
+}
+/// The radius of a ring that its outer diameter gives, the number of its text. A shape is then equal to the one that is
+/// read from its text. The difference is within the rounding of the sum.
+fn ring_radius(radius: f64, tube: f64) -> f64 {
+    (radius + tube) - tube
 }

@@ -12,7 +12,7 @@ use super::primitive::Primitive;
 use super::profile::Profile;
 use super::volume_leaf::VolumeLeaf;
 use crate::error::ShapeError;
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use std::sync::Arc;
 
 /// A solid: a leaf, or operators over others.
@@ -105,6 +105,20 @@ impl Shape {
         }
     }
 
+    /// The children, from the last to the first. An operator whose first child is the same sharp operator has the
+    /// children of both, because both combine from the left.
+    pub(crate) fn operands(&self) -> Vec<&Self> {
+        let mut operands: Vec<&Self> = self.children().iter().rev().collect();
+        while let Some(&first) = operands.last()
+            && matches!(self.kind(), Kind::Combine { blend: Blend::Sharp, .. })
+            && first.kind() == self.kind()
+        {
+            operands.pop();
+            operands.extend(first.children().iter().rev());
+        }
+        operands
+    }
+
     /// A change of one shape by its name and numbers in the Python interface.
     pub fn changed(&self, name: &str, numbers: &[f64]) -> Result<Self, ShapeError> {
         let vector = |argument, x, y, z| -> Result<DVec3, ShapeError> {
@@ -121,8 +135,14 @@ impl Shape {
         let kind = match (name, numbers) {
             ("translate", &[x, y, z]) => Kind::Move(vector("offset", x, y, z)?),
             ("rotate", &[x, y, z, degrees]) => {
-                Kind::Rotate { axis: unit("axis", x, y, z)?, degrees: finite("degrees", degrees)? }
+                let (axis, degrees) = (unit("axis", x, y, z)?, finite("degrees", degrees)?);
+                if is_coordinate_axis(axis) {
+                    Kind::Rotate { axis: axis.abs(), degrees: degrees * axis.element_sum() }
+                } else {
+                    Kind::Turn(DQuat::from_axis_angle(axis, degrees.rem_euclid(720.0).to_radians()))
+                }
             }
+            ("turn", &[x, y, z, w]) => Kind::Turn(DQuat::from_xyzw(x, y, z, w)),
             ("scale", &[factor]) => {
                 let factor = positive("factor", factor)?;
                 if factor < 1e-30 {
@@ -251,6 +271,11 @@ impl Drop for ShapeNode {
 }
 
 /// Compares node by node, without recursion.
+/// Whether a vector has one component.
+pub(crate) fn is_coordinate_axis(axis: DVec3) -> bool {
+    axis.to_array().iter().filter(|&&component| component != 0.0).count() == 1
+}
+
 impl PartialEq for Shape {
     fn eq(&self, other: &Self) -> bool {
         let mut waiting = vec![(self, other)];
@@ -258,10 +283,11 @@ impl PartialEq for Shape {
             if Arc::ptr_eq(&a.0, &b.0) {
                 continue;
             }
-            if a.kind() != b.kind() || a.children().len() != b.children().len() {
+            let (first, second) = (a.operands(), b.operands());
+            if a.kind() != b.kind() || first.len() != second.len() {
                 return false;
             }
-            waiting.extend(a.children().iter().zip(b.children()));
+            waiting.extend(first.into_iter().zip(second));
         }
         true
     }
