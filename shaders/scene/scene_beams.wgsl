@@ -320,8 +320,6 @@ struct BallBeside {
     covered: f32,
     // Ratio of its form factor to the fraction that it covers of all cones from the place.
     weight: f32,
-    // Whether the place is outside of the ball. Inside, the ball bounds nothing.
-    is_bound: bool,
 }
 
 // Twin of src/scene/light/occlusion.rs.
@@ -329,10 +327,10 @@ fn ball_beside(index: u32, beam: Beam) -> BallBeside {
     let toward = instances[index].ball_center - beam.p;
     let squared = dot(toward, toward);
     let radius = instances[index].ball_radius;
-    if squared <= radius * radius { return BallBeside(-1.0, 1.0, 1.0, false); }
+    if squared <= radius * radius { return BallBeside(-1.0, 1.0, 1.0); }
     let along = dot(toward, beam.direction);
     let least_x = ball_edge(along, squared, radius, beam.slope);
-    if least_x >= 1.0 { return BallBeside(least_x, 0.0, 1.0, true); }
+    if least_x >= 1.0 { return BallBeside(least_x, 0.0, 1.0); }
     let normal = beam.normal;
     let axes = axes_of(normal);
     var cones = 0.0;
@@ -351,7 +349,7 @@ fn ball_beside(index: u32, beam: Beam) -> BallBeside {
     if factor * weights < MOST_WEIGHT * cones { weight = factor * weights / cones; }
     // The front of a ball spans about a radius.
     let within_reach = clamp((beam.t_max + radius - distance) / radius, 0.0, 1.0);
-    return BallBeside(least_x, within_reach * covered_by_ball(along, squared, radius, beam.slope), weight, true);
+    return BallBeside(least_x, within_reach * covered_by_ball(along, squared, radius, beam.slope), weight);
 }
 
 // Signed distance of the edge of a ball from the axis of a cone in radii. `along` is the position of its centre along
@@ -418,7 +416,7 @@ fn thin_share(thin: ptr<function, RayBundle>) -> f32 {
 // Fraction of a cone's section that passes, and whether it is proven.
 fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
     var share = 1.0;
-    // Sum of the fractions that the balls of instances in a cone of occlusion block.
+    // Sum of the fractions that the instances in a cone of occlusion block.
     var blocked = select(1.0, 0.0, HAS_WIDE && beam.is_coarse == WIDE);
     var is_proven = true;
     var x = 1.0;
@@ -434,15 +432,16 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
         }
         let opacity = instances[caster.index].opacity;
         var x_known = select(1.0, x, beam.is_coarse != 0u && opacity >= 1.0);
-        var ball = BallBeside(-1.0, 1.0, 1.0, false);
+        var ball = BallBeside(-1.0, 1.0, 1.0);
         let is_near = HAS_WIDE && beam.is_coarse == WIDE && caster.index < params.far;
         if is_near {
             // Cones of occlusion are wide: they enter the boxes of many instances and miss most of the surfaces inside.
             ball = ball_beside(caster.index, beam);
             if ball.least_x >= 1.0 { continue; }
             if ball.covered <= LEAST_BALL {
-                blocked += opacity * min(ball.weight * ball.covered, 1.0);
-                share *= 1.0 - opacity * min(ball.weight * instances[caster.index].ball_fill * ball.covered, 1.0);
+                let own = opacity * min(ball.weight * instances[caster.index].ball_fill * ball.covered, 1.0);
+                share *= 1.0 - own;
+                blocked += own;
                 continue;
             }
             x_known = 1.0;
@@ -456,10 +455,12 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
         if cone.x >= 0.0 { cone.x = max(cone.x, ball.least_x); }
         if is_near {
             let hidden = 1.0 - visible_share(cone.x);
-            let own = min(ball.weight * min(hidden, ball.covered), 1.0);
-            let most_hidden = select(1.0, MOST_HIDDEN, ball.is_bound);
-            blocked += opacity * min(ball.weight * min(most_hidden * hidden, ball.covered), 1.0);
-            share *= (1.0 - opacity * own) * (1.0 - opacity * (1.0 - cone.beside));
+            // A ball that covers little has no straight edge in the cone.
+            let by_edge = (ball.covered - LEAST_BALL) / (1.0 - LEAST_BALL);
+            let covered = mix(instances[caster.index].ball_fill * ball.covered, min(hidden, ball.covered), by_edge);
+            let own = opacity * min(ball.weight * covered, 1.0);
+            share *= (1.0 - own) * (1.0 - opacity * (1.0 - cone.beside));
+            blocked += own;
             if share <= 0.0 && blocked >= 1.0 { return vec2f(0.0); }
         } else if opacity < 1.0 {
             share *= 1.0 - opacity * (1.0 - visible_share(cone.x));

@@ -227,8 +227,6 @@ wgsl_constants! {
         /// Largest ratio of the form factor of a ball to the fraction that it covers of all cones. In the gaps between
         /// the cones a ball covers little of them.
         MOST_WEIGHT: f32 as f32 = 2.0;
-        /// Largest ratio of the fraction that an instance covers to the one that its nearest edge shows.
-        MOST_HIDDEN: f32 as f32 = 4.0;
     }
     scene_beam {
         /// Number of consecutive cones with a common cut of the scene's tree, and of nodes of a cut.

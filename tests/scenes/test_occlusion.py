@@ -142,8 +142,8 @@ def test_occlusion_beside_a_knot_is_close_to_rays(reach: float, device: str) -> 
         truth += ~(fb.cast_rays(moved_knot, points, rays).t <= reach) / count
     error = (frame.color[..., 0] / plain.color[..., 0])[floor] - truth
     assert (truth < 0.9).sum() > 20
-    assert abs(error.mean()) <= 0.015
-    assert np.sqrt((error**2).mean()) <= 0.03
+    assert abs(error.mean()) <= 0.01
+    assert np.sqrt((error**2).mean()) <= 0.02
 
 
 SIDE = fb.Camera((0, 0, 9), (0, 0, 0))

@@ -24,16 +24,14 @@
 //!
 //! The fractions that the instances let pass multiply, as if the instances were independent. Where one instance blocks
 //! the axis and others block the section beside its edge, they are not, and the cone is darker. It is never darker than
-//! if no two balls overlapped.
+//! if no two instances overlapped.
 
 use super::cone::{AO_SLOPE, AO_TANGENT, BallAhead, ConeSum, WideCone, clearance, visible_share};
 use super::light_rays::{LightCone, LightRay, LightWork, SurfacePoint, basis};
 use super::near_instances::{Beside, ConeOccluder, NearInstances};
 use super::occluder::bias;
 use super::shadow::Casters;
-use crate::gpu::constants::scene_beams::{
-    AO_CONES, AO_RING_COSINE, AO_RING_SINE, LEAST_BALL, MOST_HIDDEN, MOST_WEIGHT,
-};
+use crate::gpu::constants::scene_beams::{AO_CONES, AO_RING_COSINE, AO_RING_SINE, LEAST_BALL, MOST_WEIGHT};
 use crate::scene::content::model::Scene;
 use crate::scene::content::tree::Line;
 use crate::simd::with_vectors;
@@ -328,7 +326,7 @@ impl Casters<'_> {
         let Occluders { nearby, toward: [x, y, z], squared, radius, cones, weight, candidates, .. } = occluders;
         let mut sum = ConeSum::NEW;
         // The fraction that all instances without thin rays let pass, each beside the others, and the sum of the
-        // fractions that their balls block.
+        // fractions that they block.
         let (mut passes, mut blocked) = (1.0f32, 0.0f32);
         for row in 0..candidates.len() {
             let nearest = candidates[row];
@@ -342,21 +340,23 @@ impl Casters<'_> {
             let toward = Vec3::new(x[i], y[i], z[i]);
             let along = toward.dot(direction);
             // Inside a ball the radius is 0, and the ball bounds nothing.
-            let (covered, weight, most_hidden) = match radius[i] {
-                0.0 => (1.0, 1.0, 1.0),
+            let (covered, weight) = match radius[i] {
+                0.0 => (1.0, 1.0),
                 radius => {
                     if weight[i].is_nan() {
                         weight[i] = ball_weight(cones, toward, radius);
                     }
                     let covered = covered_by_ball(along, squared[i], radius);
-                    (within_reach(squared[i], radius, ray.t_max as f32) * covered, weight[i], MOST_HIDDEN)
+                    (within_reach(squared[i], radius, ray.t_max as f32) * covered, weight[i])
                 }
             };
             let prefers_rays = instance.field.as_ref().is_some_and(|field| field.prefers_rays());
+            let fill = self.scene.balls()[item as usize].fill;
             let block = |covered: f32| instance.shade * (weight * covered).min(1.0);
             if covered <= LEAST_BALL && !prefers_rays {
-                passes *= 1.0 - block(self.scene.balls()[item as usize].fill * covered);
-                blocked += block(covered);
+                let own = block(fill * covered);
+                passes *= 1.0 - own;
+                blocked += own;
                 continue;
             }
             // The own field is evaluated from a point that is moved off the surface.
@@ -373,8 +373,12 @@ impl Casters<'_> {
             }
             if !prefers_rays {
                 let hidden = 1.0 - visible_share(found);
-                passes *= (1.0 - block(hidden.min(covered))) * (1.0 - instance.shade * (1.0 - beside));
-                blocked += block((most_hidden * hidden).min(covered));
+                // A ball that covers little has no straight edge in the cone.
+                let by_edge = (covered - LEAST_BALL) / (1.0 - LEAST_BALL);
+                let mean = fill * covered;
+                let own = block(mean + by_edge * (hidden.min(covered) - mean));
+                passes *= (1.0 - own) * (1.0 - instance.shade * (1.0 - beside));
+                blocked += own;
                 if passes <= 0.0 && blocked >= 1.0 {
                     break;
                 }
