@@ -5,11 +5,14 @@
 //! over pairs of geometries. A pair of meshes, boxes, balls or capsules is compared by triangles ([`separation`]): a
 //! ball is a point with a radius, a capsule a segment with a radius. Other pairs begin with alternating projections,
 //! whose result planes of support prove between convex solids; a mesh and a convex shape are compared by tangents.
-//! Overlaps, and pairs without a proof, are searched by branch and bound ([`overlap`]).
+//! Overlaps, and pairs without a proof, are searched by branch and bound ([`overlap`]). The normal near contact comes
+//! from the gradients around the minimum ([`descent`]).
 //!
 //! [`separation`]: super::separation
 //! [`overlap`]: super::overlap
+//! [`descent`]: super::descent
 
+use super::descent::{CONTACT, contact_normal};
 use super::overlap::{Solid, minimum, project};
 use super::separation::{TriangleSet, distance, distance_from_convex};
 use super::{Bodies, Element, Geometry, Similarity};
@@ -290,11 +293,11 @@ impl<'a> Pair<'a> {
         let center = self.places[0].inverse_point(DVec3::from_array(found.center));
         let size = self.size() + center.length();
         let (distance, points, normal) = match project(&mut a, &mut b, center, size, ACCURACY * size) {
-            Some((p, q, apart, _)) => (apart, [p, q], (p - q) / apart),
+            Some((p, q, apart, _)) => (apart, [p, q], direction(&mut a, &mut b, [p, q], size)),
             // The solids have a common point. Fields are bounds of distances, also inside.
             None => {
                 let depth = a.distance(center).max(b.distance(center)).min(0.0);
-                let (points, normal) = facing(&mut a, &mut b, center);
+                let (points, normal) = facing(&mut a, &mut b, center, size);
                 (2.0 * depth, points, normal)
             }
         };
@@ -319,6 +322,10 @@ impl<'a> Pair<'a> {
             if !nested {
                 let (apart, p, q) = distance([a, b], &place, accuracy.limit + radii)?;
                 let n = (p - q).try_normalize();
+                if radii == 0.0 && apart > 0.0 {
+                    let [a, b] = &mut solids;
+                    return apart_by(apart, 0.0, [p, q], direction(a, b, [p, q], self.size()));
+                }
                 if let (true, Some(n)) = (apart > radii, n) {
                     return apart_by(apart - radii, 0.0, [p - n * *radius_a, q + n * *radius_b], n);
                 }
@@ -343,7 +350,7 @@ impl<'a> Pair<'a> {
             return if lower >= accuracy.limit {
                 None
             } else {
-                apart_by(apart, apart - lower, [p, q], (p - q) / apart)
+                apart_by(apart, apart - lower, [p, q], direction(a, b, [p, q], size))
             };
         }
         // A mesh and a convex shape.
@@ -365,7 +372,8 @@ impl<'a> Pair<'a> {
             return if lower >= accuracy.limit {
                 None
             } else {
-                apart_by(apart, apart - lower, [p, q], (p - q) / apart)
+                let [a, b] = &mut solids;
+                apart_by(apart, apart - lower, [p, q], direction(a, b, [p, q], size))
             };
         }
         let [a, b] = &mut solids;
@@ -400,23 +408,30 @@ impl<'a> Pair<'a> {
                     (p, q, p.distance(q), lower)
                 });
             let apart = apart.min(2.0 * found.upper);
-            return apart_by(
-                apart,
-                (apart - lower.max(own)).max(unproven),
-                [p, q],
-                (p - q).try_normalize().unwrap_or(DVec3::X),
-            );
+            let error = (apart - lower.max(own)).max(unproven);
+            return apart_by(apart, error, [p, q], direction(a, b, [p, q], size));
         }
-        let (points, normal) = facing(a, b, found.at);
+        let (points, normal) = facing(a, b, found.at, size);
         let error = (2.0 * (found.upper - found.lower)).max(unproven);
         Some(self.world(2.0 * found.upper, error, points, normal, found.at))
     }
 }
 
+/// The unit vector from the second of two closest points to the first. Near contact the direction of the points is
+/// rounding, and the gradients decide.
+fn direction(a: &mut Solid<'_>, b: &mut Solid<'_>, [p, q]: [DVec3; 2], size: f64) -> DVec3 {
+    if p.distance(q) > CONTACT * size {
+        return (p - q).normalize();
+    }
+    let normal = contact_normal(a, b, 0.5 * (p + q), size);
+    normal.or((p - q).try_normalize()).unwrap_or(DVec3::X)
+}
+
 /// The points of two overlapping solids nearest to a place, and the unit vector from the second surface to the first.
-fn facing(a: &mut Solid<'_>, b: &mut Solid<'_>, at: DVec3) -> ([DVec3; 2], DVec3) {
+fn facing(a: &mut Solid<'_>, b: &mut Solid<'_>, at: DVec3, size: f64) -> ([DVec3; 2], DVec3) {
     let ((gradient_a, p), (gradient_b, q)) = (a.gradient_and_point(at), b.gradient_and_point(at));
-    ([p, q], (gradient_b - gradient_a).try_normalize().unwrap_or(gradient_b))
+    let normal = contact_normal(a, b, at, size).or((gradient_b - gradient_a).try_normalize());
+    ([p, q], normal.unwrap_or(gradient_b))
 }
 
 /// Whether a component of a set begins inside a solid. `place` belongs to the set, `other` to the solid.

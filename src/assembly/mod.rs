@@ -7,6 +7,7 @@
 //! *Practice.* [`Bodies`] is made once. A configuration is one rigid pose for each body.
 
 pub mod clearance;
+mod descent;
 pub mod nearest;
 mod overlap;
 mod separation;

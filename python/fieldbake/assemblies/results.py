@@ -65,7 +65,8 @@ class Clearance(NamedTuple):
     #: The nearest points of the surface of the second body, (..., 3) float64; NaN beyond the cutoff.
     points_b: NDArray[np.float64]
     #: Unit vectors from the second body to the first, (..., 3) float64: a motion v_a, v_b of the nearest points changes
-    #: the distance by ``normals . (v_a - v_b)``. NaN beyond the cutoff.
+    #: the distance by ``normals . (v_a - v_b)``. An overlap that several faces of one body limit changes in this
+    #: direction too, but by less. NaN beyond the cutoff.
     normals: NDArray[np.float64]
     #: The true value lies between ``distances - errors`` and ``distances``. Infinite beyond the cutoff, and for
     #: overlaps of open meshes, whose signed distance jumps across the opening.
