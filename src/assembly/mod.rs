@@ -8,6 +8,7 @@
 
 pub mod clearance;
 mod descent;
+mod form;
 pub mod nearest;
 mod overlap;
 mod separation;

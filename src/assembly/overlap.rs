@@ -14,7 +14,7 @@
 //!   no other bound ends the search there. Both may belong to one solid: in a wall that the other solid contains, they
 //!   are the distances from both sides of the wall.
 //!
-//! The minorant of a convex solid is its tangent a(c) + g . (x - c). The minorant of a mesh is the negative
+//! The minorant of a convex solid is its tangent a(c) + g . (x - c). The minorant of another mesh is the negative
 //! distance from the face nearest to c: inside, the depth is at most the distance from any part of the surface, and
 //! distances from convex sets are convex. Any other has a(c) - |x - c|.
 //!
@@ -22,6 +22,7 @@
 //! as between a torus and a table, the value is therefore right even if the search ends without a proof.
 
 use super::descent::{CONTACT, descend};
+use super::form::Form;
 use super::{Geometry, Similarity};
 use crate::csg::model::token::Token;
 use crate::csg::parts::closed_form::Scratch;
@@ -96,6 +97,14 @@ impl<'a> Solid<'a> {
         self.leaf.is_some()
     }
 
+    /// Whether the distance is a convex function, so that its tangents bound it from below.
+    fn has_tangents(&self) -> bool {
+        match self.geometry {
+            Geometry::Mesh(mesh) => *mesh.derived::<Form>() == Form::Convex,
+            Geometry::Shape(_) => self.leaf.is_some(),
+        }
+    }
+
     /// The signed distance, its gradient and the nearest face.
     pub(super) fn value(&mut self, p: DVec3) -> Value {
         let local = self.place.inverse_point(p);
@@ -147,8 +156,9 @@ impl<'a> Solid<'a> {
     /// Lower bounds of the distance in a cell, at its corners.
     fn minorant(&self, value: &Value, center: DVec3, corners: &[DVec3; 8]) -> [f64; 8] {
         let radius = center.distance(corners[0]);
+        let has_tangents = self.has_tangents();
         match value.face {
-            _ if self.leaf.is_some() => corners.map(|x| value.distance + value.gradient.dot(x - center)),
+            _ if has_tangents => corners.map(|x| value.distance + value.gradient.dot(x - center)),
             Some(face) if value.distance <= radius => {
                 corners.map(|x| -closest_point_on_triangle(x, face).point.distance(x))
             }
@@ -163,8 +173,9 @@ impl<'a> Solid<'a> {
         }
         let beyond = center - 2.0 * radius * value.gradient;
         let found = self.value(beyond);
+        let has_tangents = self.has_tangents();
         match found.face {
-            _ if self.leaf.is_some() => corners.map(|x| found.distance + found.gradient.dot(x - beyond)),
+            _ if has_tangents => corners.map(|x| found.distance + found.gradient.dot(x - beyond)),
             Some(face) => corners.map(|x| -closest_point_on_triangle(x, face).point.distance(x)),
             None => [f64::NEG_INFINITY; 8],
         }

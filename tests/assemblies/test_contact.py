@@ -100,3 +100,13 @@ def test_a_torus_in_the_ground_has_its_depth(ground, depth, random):
         # The overlap is wide and thin, so its depth is found by a descent; the proof remains coarse.
         assert abs(found.distances[0] + depth) <= FLOOR
         assert found.distances[0] - found.errors[0] <= -depth + FLOOR
+
+
+@pytest.mark.parametrize("ground", GROUNDS)
+@pytest.mark.parametrize("depth", [1e-3, 1e-2])
+def test_the_depth_of_a_convex_mesh_is_proven(ground, depth, random):
+    for motion in motions(random):
+        own = motion @ rigid(np.eye(3), (0.1, 0, 1 - depth))
+        found = fb.clearance(CUBE, GROUNDS[ground], pose_a=own, pose_b=motion)
+        assert abs(found.distances[0] + depth) <= FLOOR
+        assert found.errors[0] <= 1e-3 * depth
