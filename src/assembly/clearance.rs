@@ -6,20 +6,25 @@
 //! ball is a point with a radius, a capsule a segment with a radius. Other pairs begin with alternating projections,
 //! whose result planes of support prove between convex solids; a mesh and a convex shape are compared by tangents.
 //! Overlaps, and pairs without a proof, are searched by branch and bound ([`overlap`]). The normal near contact comes
-//! from the gradients around the minimum ([`descent`]).
+//! from the gradients around the minimum ([`descent`]). A flat sheet has no inside: its clearance from a solid that it
+//! touches is 0 ([`sheet`]).
 //!
 //! [`separation`]: super::separation
 //! [`overlap`]: super::overlap
 //! [`descent`]: super::descent
+//! [`sheet`]: super::sheet
 
 use super::descent::{CONTACT, contact_normal};
-use super::overlap::{Solid, minimum, project};
+use super::form::Form;
+use super::overlap::{ROUNDING, Solid, minimum, project};
 use super::separation::{TriangleSet, distance, distance_from_convex};
+use super::sheet::common_point;
 use super::{Bodies, Element, Geometry, Similarity};
 use crate::csg::model::token::Token;
 use crate::csg::tree::primitive::Primitive;
 use crate::error::{ArgumentError, Error};
 use crate::memory::zeroed_rows;
+use crate::mesh::Mesh;
 use crate::progress::Progress;
 use bytemuck::Zeroable;
 use glam::DVec3;
@@ -129,6 +134,14 @@ impl<'a> Prepared<'a> {
         let r = place.rotation;
         let half = r.x_axis.abs() * half.x + r.y_axis.abs() * half.y + r.z_axis.abs() * half.z;
         Some([center - half, center + half])
+    }
+
+    /// The mesh, if it is a flat sheet.
+    fn sheet(&self) -> Option<&Mesh> {
+        match &self.element.geometry {
+            Geometry::Mesh(mesh) if *mesh.derived::<Form>() == Form::Sheet => Some(mesh),
+            _ => None,
+        }
     }
 
     fn size(&self) -> f64 {
@@ -376,6 +389,16 @@ impl<'a> Pair<'a> {
                 apart_by(apart, apart - lower, [p, q], direction(a, b, [p, q], size))
             };
         }
+        for (of, other) in [(0, 1), (1, 0)] {
+            let Some(sheet) = self.sets[of].sheet() else { continue };
+            if let Some(x) = common_point(sheet, &self.frames[of], &mut solids[other], ROUNDING * size) {
+                let outwards = solids[other].value(x).gradient;
+                let [a, b] = &mut solids;
+                let turned = if of == 0 { outwards } else { -outwards };
+                let normal = contact_normal(a, b, x, size).unwrap_or(turned);
+                return apart_by(0.0, 0.0, [x, x], normal);
+            }
+        }
         let [a, b] = &mut solids;
         // The minimum lies within its value of both boxes.
         let reach = match projected {
@@ -391,12 +414,14 @@ impl<'a> Pair<'a> {
         let start = projected.map_or_else(|| start.max(region[0]).min(region[1]), |(p, q, _, _)| 0.5 * (p + q));
         // The signed distance of an open mesh jumps across its opening, where no bound holds.
         let is_closed = |of: &Prepared<'_>| match &of.element.geometry {
-            Geometry::Mesh(mesh) => mesh.topology().closed,
+            Geometry::Mesh(mesh) => mesh.topology().closed || of.sheet().is_some(),
             Geometry::Shape(_) => true,
         };
         let unproven = if is_closed(first) && is_closed(second) { 0.0 } else { f64::INFINITY };
         let found = minimum(a, b, region, start, accuracy.relative_tolerance, 0.5 * floor, progress);
-        let lower = 2.0 * found.lower;
+        // A sheet has no inside, so no clearance of it is negative.
+        let has_sheet = self.sets.iter().any(|set| set.sheet().is_some());
+        let lower = if has_sheet { (2.0 * found.lower).max(0.0) } else { 2.0 * found.lower };
         if lower >= accuracy.limit && lower > 0.0 {
             return None;
         }

@@ -12,6 +12,7 @@ mod form;
 pub mod nearest;
 mod overlap;
 mod separation;
+mod sheet;
 #[cfg(test)]
 mod tests;
 

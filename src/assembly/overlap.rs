@@ -44,7 +44,7 @@ const DESCENTS: usize = 16;
 /// Largest number of steps of alternating projections.
 const MAX_STEPS: usize = 5000;
 /// Share of the size that covers the rounding of distances and tangents.
-const ROUNDING: f64 = 1e-13;
+pub(super) const ROUNDING: f64 = 1e-13;
 /// Share of the size by which the closest points of convex solids may move in the last step.
 const STAYS: f64 = 1e-11;
 /// Largest number of steps to the surface of a field that is a bound of the distance.

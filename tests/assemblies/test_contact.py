@@ -1,4 +1,4 @@
-"""Clearances at contact: normals, shallow overlaps and proofs, under random motions."""
+"""Clearances at contact: normals, shallow overlaps, proofs and sheets, under random motions."""
 
 import numpy as np
 import pytest
@@ -110,3 +110,51 @@ def test_the_depth_of_a_convex_mesh_is_proven(ground, depth, random):
         found = fb.clearance(CUBE, GROUNDS[ground], pose_a=own, pose_b=motion)
         assert abs(found.distances[0] + depth) <= FLOOR
         assert found.errors[0] <= 1e-3 * depth
+
+
+SHEETS = {
+    "triangle": fb.Mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)]),
+    "square": fb.Mesh([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], [(0, 1, 2), (0, 2, 3)]),
+}
+
+
+@pytest.mark.filterwarnings("ignore::fieldbake.SurfaceWarning")
+@pytest.mark.parametrize("sheet", SHEETS)
+@pytest.mark.parametrize(
+    "solid", [fb.sphere(0.5), fb.box(1), CUBE, fb.cylinder(0.5, 1), fb.torus(0.5, 0.2), fb.sphere(4)], ids=repr
+)
+def test_a_sheet_through_a_solid_has_no_distance(sheet, solid, random):
+    for i, motion in enumerate(motions(random)):
+        pair = (solid, SHEETS[sheet]) if i % 2 else (SHEETS[sheet], solid)
+        found = fb.clearance(*pair, pose_a=motion, pose_b=motion)
+
+        assert found.distances[0] == 0
+        assert found.errors[0] == 0
+        p, q = found.points_a[0], found.points_b[0]
+        assert np.linalg.norm(p - q) <= 1e-12
+        local = motion[:3, :3].T @ (p - motion[:3, 3])
+        assert abs(local[2]) <= 1e-12
+        depth = (
+            solid.distance(local, dtype="float64") if isinstance(solid, fb.Shape) else fb.signed_distance(solid, local)
+        )
+        assert depth <= 1e-12
+        assert abs(np.linalg.norm(found.normals[0]) - 1) <= 1e-12
+
+
+@pytest.mark.filterwarnings("ignore::fieldbake.SurfaceWarning")
+def test_a_sheet_apart_from_a_solid_has_its_distance(random):
+    for motion in motions(random):
+        # The sheet contains the point above the centre of each solid.
+        lifted = motion @ rigid(np.eye(3), (-0.3, -0.3, 1.25))
+        for solid in (fb.sphere(1), CUBE, fb.cylinder(0.5, 2)):
+            found = fb.clearance(SHEETS["square"], solid, pose_a=lifted, pose_b=motion)
+            assert abs(found.distances[0] - 0.25) <= FLOOR
+            assert found.errors[0] <= FLOOR
+
+
+@pytest.mark.filterwarnings("ignore::fieldbake.SurfaceWarning")
+def test_the_clearance_of_stacked_triangles_has_no_proof():
+    # The winding number between equal triangles one upon the other exceeds 1/2.
+    corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0.9, 0, 0)]
+    stacked = fb.Mesh(corners, [(0, 1, 2), (0, 3, 2)])
+    assert fb.clearance(stacked, fb.sphere(0.5)).errors[0] == np.inf
