@@ -69,8 +69,8 @@ class Clearance(NamedTuple):
     #: direction too, but by less. NaN beyond the cutoff.
     normals: NDArray[np.float64]
     #: The true value lies between ``distances - errors`` and ``distances``. Infinite beyond the cutoff, and for
-    #: overlaps of open meshes, whose signed distance jumps across the opening. A flat sheet of at most 256 triangles has
-    #: no inside: where it touches a solid or lies in it, the distance 0 is exact, and both points are a common point.
+    #: overlaps of open meshes, whose signed distance jumps across the opening. A flat sheet of at most 256 triangles
+    #: has no inside: where it touches a solid or lies in it, the distance 0 is exact, and the points are one.
     errors: NDArray[np.float64]
     #: Rows of the pairs in `Assembly.body_names`, (k, 2) int64; -1 for the environment.
     pairs: NDArray[np.int64]
