@@ -16,9 +16,10 @@
 
 use super::descent::{CONTACT, contact_normal};
 use super::form::Form;
-use super::overlap::{ROUNDING, Solid, minimum, project};
+use super::overlap::{minimum, project};
 use super::separation::{TriangleSet, distance, distance_from_convex};
 use super::sheet::common_point;
+use super::solid::{ROUNDING, Solid};
 use super::{Bodies, Element, Geometry, Similarity};
 use crate::csg::model::token::Token;
 use crate::csg::tree::primitive::Primitive;

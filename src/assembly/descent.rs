@@ -18,7 +18,7 @@
 //! Distances from solids that are not convex may lie below their tangents. A tangent is therefore lowered to the
 //! distance at x, and the reach shrinks after a step without decrease.
 
-use super::overlap::{Solid, Value};
+use super::solid::{Solid, Value};
 use glam::DVec3;
 
 /// Largest number of steps of a descent. Steps along curved valleys shrink the distance to the minimum by a constant

@@ -13,6 +13,7 @@ pub mod nearest;
 mod overlap;
 mod separation;
 mod sheet;
+mod solid;
 #[cfg(test)]
 mod tests;
 

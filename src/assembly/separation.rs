@@ -6,7 +6,7 @@
 //! frame of the first one. Pairs of triangles are compared in float64.
 
 use super::Similarity;
-use super::overlap::Solid;
+use super::solid::Solid;
 use crate::bvh::boxes::{BoxNode, BoxTree};
 use crate::geometry::{closest_point_on_triangle, closest_points_of_triangles};
 use crate::mesh::Mesh;

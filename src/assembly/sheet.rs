@@ -1,7 +1,7 @@
 //! The common point of a flat sheet and a solid. A sheet has no inside, so their clearance there is exactly 0.
 
 use super::Similarity;
-use super::overlap::Solid;
+use super::solid::Solid;
 use crate::geometry::closest_point_on_triangle;
 use crate::mesh::Mesh;
 use glam::DVec3;
