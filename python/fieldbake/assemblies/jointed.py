@@ -254,8 +254,8 @@ class JointedBodies:
                     raise ValueError
                 lead = np.broadcast_shapes(lead, array.shape[:-2])
             except ValueError:
-                wanted = f"one pose (4, 4), or poses (..., 4, 4) for the leading shape {rows} of the values"
-                raise ArgumentError(f"roots[{name!r}]: must be {wanted}, got the shape {array.shape}") from None
+                expected = f"one pose (4, 4), or poses (..., 4, 4) for the leading shape {rows} of the values"
+                raise ArgumentError(f"roots[{name!r}]: must be {expected}, got the shape {array.shape}") from None
             check_rigid(f"roots[{name!r}]", array)
             result[self._rows[name]] = array
         return result, lead
