@@ -247,10 +247,10 @@ def render(scene: Any, camera: Camera | None = None, **options: Unpack[RenderOpt
     ambient_occlusion : bool or float, default False
         Whether nearby surfaces darken ambient light, by seven cones over the hemisphere. A number is the largest
         distance of such surfaces, world units. True uses 0.15 of the diagonal of the scene. Occlusion is evaluated at
-        every eighth pixel of every eighth row and interpolated in between, on lattices of 4, 2 and 1 pixels. Pixels
-        are evaluated too if another surface is visible near them, if their neighbours lie on another surface, or if
-        the neighbours differ by more than interpolation can follow: at most 1/2 at every second pixel, 1/8 at every
-        eighth.
+        every eighth pixel of every eighth row, of at least 24 along the shorter side, and interpolated in between, on
+        lattices of 4, 2 and 1 pixels. Pixels are evaluated too if another surface is visible near them, if their
+        neighbours lie on another surface, or if the neighbours differ by more than interpolation can follow: at most
+        1/2 at every second pixel, 1/8 at every eighth.
     bounces : int from 0 to 4, default 0
         Largest number of diffuse reflections on the way of the light to the visible surface. 0 draws the light of the
         lights alone, with ambient light that arrives everywhere. 1 and more trace paths from each surface to the
