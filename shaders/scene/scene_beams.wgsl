@@ -448,8 +448,8 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
         }
         let ray = ray_in_field(caster.index, beam);
         let span = cone_span(caster, beam, ray, x_known);
-        if span.x > span.y { continue; }
-        var cone = cone_past(caster, beam, ray, span, x_known, with_edges);
+        var cone = Cone(1.0, false, 1.0);
+        if span.x <= span.y { cone = cone_past(caster, beam, ray, span, x_known, with_edges); }
         if needs_edge { return vec2f(0.0); }
         // Beside a free axis a distance may be a loose bound.
         if cone.x >= 0.0 { cone.x = max(cone.x, ball.least_x); }

@@ -97,12 +97,12 @@ def test_units_are_exact_and_the_origin_is_that_of_the_user_space(read, size, sc
     x, y = corner
     profile = read(f'{size} viewBox="{x} {y} 10 5"', f'<rect x="{x}" y="{y}" width="10" height="5"/>')
     truth = scale * np.array([(x, -y - 5), (x + 10, -y)])
-    np.testing.assert_allclose(profile.bounds, truth, rtol=1e-12, atol=1e-12 * scale)
+    assert np.abs(profile.bounds - truth).max() <= 1e-12 * np.abs(truth).max()
 
 
 def test_a_physical_length_in_a_picture_is_exact(read):
     profile = read("", '<rect x="2mm" y="1cm" width="100mm" height="1in"/>')
-    np.testing.assert_allclose(profile.bounds, [(2, -35.4), (102, -10)], rtol=1e-12)
+    assert np.abs(profile.bounds - np.array([(2, -35.4), (102, -10)])).max() <= 1e-10
 
 
 def test_the_sides_of_a_picture_may_have_scales_of_their_own(read):
@@ -133,5 +133,5 @@ def test_a_section_keeps_its_place_through_a_file(tmp_path, center):
     truth = np.stack([corners.min(axis=0), corners.max(axis=0)])
     # The file has ten digits.
     tolerance = 1e-9 * np.abs(truth).max()
-    np.testing.assert_allclose(profile.bounds, truth, rtol=0, atol=tolerance)
+    assert np.abs(profile.bounds - truth).max() <= tolerance
     assert profile.area == pytest.approx(section.area, abs=12 * tolerance)
