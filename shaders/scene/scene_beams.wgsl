@@ -140,14 +140,13 @@ fn clearances_along(beam: Beam, past: u32, least: f32) -> vec2f {
         let is_own = caster.index == past;
         if !is_own && (instances[caster.index].opacity < 1.0 || others <= least) { continue; }
         is_own_found = is_own_found || is_own;
-        let known = select(others, own, is_own);
         let ray = ray_in_field(caster.index, beam);
-        var clearance = known;
+        var clearance = select(others, own, is_own);
         var is_free = false;
         if !HAS_THIN || instances[caster.index].prefers_rays == 0u {
-            let span = cone_span(caster, beam, ray, known);
+            let span = cone_span(caster, beam, ray, clearance);
             if span.x > span.y { continue; }
-            let nearest = nearest_edge(beam, caster.index, ray, known, span, -1.0);
+            let nearest = nearest_edge(beam, caster.index, ray, clearance, span, -1.0);
             clearance = nearest.x;
             is_free = nearest.y < 0.0;
         }

@@ -6,6 +6,9 @@ mod triangle;
 mod triangle_crossing;
 mod triangle_pair;
 
+/// 2 pi (1 - 1 / golden ratio), radians: multiples of it spread evenly over a turn (Vogel 1979).
+pub(crate) const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
+
 pub use aabb::Aabb;
 pub(crate) use clip::clip;
 pub use triangle::{Feature, SolidAngles, TrianglePoint, closest_point_on_triangle, solid_angle, triangle_cross};

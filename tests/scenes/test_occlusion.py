@@ -118,8 +118,10 @@ def test_occlusion_grows_with_opacity(count: int, device: str) -> None:
         assert np.abs(half - 0.5 * blocked).max() <= 1e-5
         assert np.abs(nearly - 0.999 * blocked).max() <= 1e-5
     else:
-        # Opaque balls, which other balls may hide, block between the product and the sum of what each blocks.
-        assert (half >= 0.5 * blocked - 0.01).all()
+        # Opaque balls, which other balls may hide, block between the product and the sum of what each blocks. The
+        # difference is the product of both fractions in a ring cone of the weight 1/8, at most 0.4 x 0.4 / 8, and a
+        # quarter of that at half the opacity.
+        assert (half >= 0.5 * blocked - 0.005).all()
         assert np.abs(nearly - blocked).max() <= 0.02
 
 

@@ -75,7 +75,8 @@ def test_faces_inside_a_solid_leave_no_voids(inner: float, resolution: int, fill
     nested = np.r_[box.vertices, inner * box.vertices], np.r_[box.faces, box.faces + len(box.vertices)]
     made = fb.solid(nested, resolution, fill=fill)
     assert made.topology()["components"] == 1
-    assert abs(made.volume - 8) <= 1e-5
+    # Planes of faces come back to the rounding of float32 vertices.
+    assert abs(made.volume - 8) <= 1e-6
 
 
 def test_the_outer_fill_drops_what_lies_inside():

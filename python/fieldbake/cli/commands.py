@@ -15,7 +15,7 @@ from ..base import encodings
 from ..base.languages import Language
 from ..files.registry import ENDINGS
 from ..queries.common import Sign
-from ..scaling.library import distinct_stems
+from ..scaling import library
 from ..volumes import writers
 from .application import app, err, show_rows
 from .shared.folders import bake_folder
@@ -295,7 +295,7 @@ def pack(
         encoding=encoding,
         band=band,
         progress=err.is_terminal,
-        names=[stem for stem, _ in distinct_stems([(file.stem, file) for file in files])],
+        names=[stem for stem, _ in library.distinct_stems([(file.stem, file) for file in files])],
     )
     ending = output.suffix.lower()
     atlas = as_written(atlas, ending)

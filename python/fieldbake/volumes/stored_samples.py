@@ -192,6 +192,6 @@ def check_distances(value: ArrayLike) -> NDArray[np.float32]:
         suspicious = not np.isfinite(np.dot(flat, flat))
     if suspicious and not (valid := np.abs(samples) <= np.float32(checks.FAR)).all():
         where = tuple(np.argwhere(~valid)[0].tolist())
-        wanted = f"at most {checks.FAR:g} from 0" if np.isfinite(samples[where]) else "finite"
-        raise ArgumentError(f"distances[{', '.join(map(str, where))}]: must be {wanted}, got {samples[where]}")
+        limit = f"at most {checks.FAR:g} from 0" if np.isfinite(samples[where]) else "finite"
+        raise ArgumentError(f"distances[{', '.join(map(str, where))}]: must be {limit}, got {samples[where]}")
     return samples

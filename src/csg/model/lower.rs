@@ -128,16 +128,6 @@ impl Builder {
     ) -> Result<(), ShapeError> {
         let children = shape.children();
         let inside = |place: Placement| InheritedState { place: context.place.then(&place), ..context.clone() };
-        if let Some(place) = Placement::of_kind(shape.kind()) {
-            let scale = context.place.scale * place.scale;
-            let reach = context.place.then(&place).translation.abs().max_element();
-            if !(MIN_SCALE..=1.0 / MIN_SCALE).contains(&scale) || reach.is_nan() || reach > MAX_REACH {
-                let problem = format!("grows or moves a part out of range: scaled by {scale:e}, moved by {reach:e}");
-                return Err(ShapeError::argument("shape", problem));
-            }
-            tasks.push(Task::Visit(&children[0], inside(place)));
-            return Ok(());
-        }
         match *shape.kind() {
             Kind::Primitive(ref primitive) => self.leaf(primitive, &context)?,
             Kind::Combine { op, blend } => {
@@ -219,7 +209,15 @@ impl Builder {
                 tasks.push(Task::Visit(&children[0], InheritedState { coat: Some(Arc::new(coat)), ..context }));
             }
             Kind::Move(_) | Kind::Rotate { .. } | Kind::Turn(_) | Kind::Scale(_) | Kind::Reflect(_) => {
-                unreachable!("placed above")
+                let place = Placement::of_kind(shape.kind());
+                let scale = context.place.scale * place.scale;
+                let reach = context.place.then(&place).translation.abs().max_element();
+                if !(MIN_SCALE..=1.0 / MIN_SCALE).contains(&scale) || reach.is_nan() || reach > MAX_REACH {
+                    let problem =
+                        format!("grows or moves a part out of range: scaled by {scale:e}, moved by {reach:e}");
+                    return Err(ShapeError::argument("shape", problem));
+                }
+                tasks.push(Task::Visit(&children[0], inside(place)));
             }
         }
         Ok(())

@@ -18,10 +18,11 @@
 use crate::csg::model::align::aligned;
 use crate::csg::tree::kind::{Blend, Kind, Op};
 use crate::csg::tree::language_table::{NumberSource, Word};
+use crate::csg::tree::placement::is_coordinate_axis;
 use crate::csg::tree::primitive::{Primitive, WORDS};
 use crate::csg::tree::profile::Profile;
 use crate::csg::tree::region::{Region, Rule};
-use crate::csg::tree::shape::{Shape, is_coordinate_axis};
+use crate::csg::tree::shape::Shape;
 use crate::error::ShapeError;
 use glam::{DQuat, DVec3};
 use std::fmt::Write;

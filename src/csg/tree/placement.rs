@@ -25,16 +25,22 @@ impl Placement {
         }
     }
 
-    pub(crate) fn of_kind(kind: &Kind) -> Option<Self> {
+    /// The placement of the child of a node; its own place for all kinds that do not move it.
+    pub(crate) fn of_kind(kind: &Kind) -> Self {
         match *kind {
-            Kind::Move(translation) => Some(Self { translation, ..Self::HERE }),
-            Kind::Rotate { axis, degrees } => Some(Self { rotation: rotation(axis, degrees), ..Self::HERE }),
-            Kind::Turn(turn) => Some(Self { rotation: DMat3::from_quat(turn), ..Self::HERE }),
-            Kind::Scale(scale) => Some(Self { scale, ..Self::HERE }),
-            Kind::Reflect(normal) => Some(reflection(normal)),
-            _ => None,
+            Kind::Move(translation) => Self { translation, ..Self::HERE },
+            Kind::Rotate { axis, degrees } => Self { rotation: rotation(axis, degrees), ..Self::HERE },
+            Kind::Turn(turn) => Self { rotation: DMat3::from_quat(turn), ..Self::HERE },
+            Kind::Scale(scale) => Self { scale, ..Self::HERE },
+            Kind::Reflect(normal) => reflection(normal),
+            _ => Self::HERE,
         }
     }
+}
+
+/// Whether a vector has one component.
+pub(crate) fn is_coordinate_axis(axis: DVec3) -> bool {
+    axis.to_array().iter().filter(|&&component| component != 0.0).count() == 1
 }
 
 /// Exact at multiples of 90 degrees about the axes, so that boxes stay axis-aligned.

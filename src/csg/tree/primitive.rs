@@ -516,6 +516,7 @@ impl Primitive {
         }
     }
 }
+
 /// The radius of a ring that its outer diameter gives, the number of its text. A shape is then equal to the one that is
 /// read from its text. The difference is within the rounding of the sum.
 fn ring_radius(radius: f64, tube: f64) -> f64 {

@@ -8,6 +8,7 @@ use super::checks::{finite, not_negative, positive};
 use super::ends::Ends;
 use super::field_kind::{FieldKind, Operand};
 use super::kind::{Blend, Kind, Op};
+use super::placement::is_coordinate_axis;
 use super::primitive::Primitive;
 use super::profile::Profile;
 use super::volume_leaf::VolumeLeaf;
@@ -271,11 +272,6 @@ impl Drop for ShapeNode {
 }
 
 /// Compares node by node, without recursion.
-/// Whether a vector has one component.
-pub(crate) fn is_coordinate_axis(axis: DVec3) -> bool {
-    axis.to_array().iter().filter(|&&component| component != 0.0).count() == 1
-}
-
 impl PartialEq for Shape {
     fn eq(&self, other: &Self) -> bool {
         let mut waiting = vec![(self, other)];
@@ -283,8 +279,11 @@ impl PartialEq for Shape {
             if Arc::ptr_eq(&a.0, &b.0) {
                 continue;
             }
+            if a.kind() != b.kind() {
+                return false;
+            }
             let (first, second) = (a.operands(), b.operands());
-            if a.kind() != b.kind() || first.len() != second.len() {
+            if first.len() != second.len() {
                 return false;
             }
             waiting.extend(first.into_iter().zip(second));

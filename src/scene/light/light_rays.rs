@@ -56,8 +56,8 @@ pub(crate) fn basis(n: DVec3) -> [DVec3; 2] {
     [DVec3::new(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x), DVec3::new(b, sign + n.y * n.y * a, -n.y)]
 }
 
-/// 2 pi (1 - 1 / golden ratio).
-pub(crate) const GOLDEN_ANGLE: f32 = 2.399_963_2;
+/// The golden angle, as in kernels.
+pub(crate) const GOLDEN_ANGLE: f32 = crate::geometry::GOLDEN_ANGLE as f32;
 
 /// Point `i` of `count` points spread evenly over the unit disc (Vogel 1979), rotated by `turn`.
 pub(crate) fn disc_point(i: u32, count: u32, turn: f32) -> Vec2 {

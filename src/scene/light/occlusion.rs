@@ -19,8 +19,9 @@
 //! The section of a cone is much wider than a small or distant instance, whose edge is no chord of it. The ball covers
 //! at most `(sin B / slope)^2` of the section, and the instance covers no more ([`covered_by_ball`]). The cones
 //! overlap, and light at the rim of a cone arrives at another angle than light along its axis. So the ratio of the form
-//! factor of the ball to the part of all cones that it covers weighs the instance ([`ball_weight`]). An instance that
-//! covers little is not evaluated: it covers its mean fraction of the ball ([`crate::scene::content::ball`]).
+//! factor of the ball to the part of all cones that it covers weighs the instance ([`ball_weight`]). An instance whose
+//! ball covers little is not evaluated: it covers its mean fraction of the ball ([`crate::scene::content::ball`]). The
+//! more of the section the ball covers, the more the edge of the instance counts.
 //!
 //! The fractions that the instances let pass multiply, as if the instances were independent. Where one instance blocks
 //! the axis and others block the section beside its edge, they are not, and the cone is darker. It is never darker than
@@ -397,6 +398,7 @@ impl Casters<'_> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::light_rays::GOLDEN_ANGLE;
     use super::*;
     use proptest::prelude::*;
 
@@ -412,7 +414,7 @@ mod tests {
             let center = Vec3::new((1.0f32 - height * height).sqrt(), 0.0, height);
             let is_hit = |i: u32| {
                 let spread = (i as f32 + 0.5) / 40_000.0;
-                let aside = spread.sqrt() * Vec3::from((glam::Vec2::from_angle(2.399_963 * i as f32), 0.0));
+                let aside = spread.sqrt() * Vec3::from((glam::Vec2::from_angle(GOLDEN_ANGLE * i as f32), 0.0));
                 (aside + Vec3::Z * (1.0 - spread).sqrt()).dot(center) >= (1.0f32 - size * size).sqrt()
             };
             let share = (0..40_000).filter(|&i| is_hit(i)).count() as f32 / 40_000.0;

@@ -13,8 +13,7 @@ from rich.markup import escape
 import fieldbake as fb
 
 from ...base.notices import about_surface
-from ...scaling import records
-from ...scaling.library import distinct_stems
+from ...scaling import library, records
 from ..application import err, out
 from .shapes import geometry_in_file
 
@@ -32,7 +31,7 @@ def bake_folder(
     bar = err.is_terminal
     items: Any = [geometry_in_file(path) for path in meshes]
     if any(isinstance(item, fb.Shape) for item in items):
-        stems = [stem for stem, _ in distinct_stems([(path.stem, path) for path in meshes])]
+        stems = [stem for stem, _ in library.distinct_stems([(path.stem, path) for path in meshes])]
         items = dict(zip(stems, items, strict=True))
     rows = fb.bake_many(items, folder, workers=jobs, limit_s=limit_s, resume=not fresh, progress=bar, **options)
     finish(rows, folder)
