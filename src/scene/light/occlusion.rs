@@ -147,6 +147,16 @@ struct BallBounds<'a> {
     limit: &'a [f32],
 }
 
+/// Distance of the centre of a ball from the axis of a cone, and sine and cosine of `A - B`, each times `c^2`, from the
+/// position of the centre along the axis, its squared distance `c^2`, the radius, and the length of the tangent.
+#[inline(always)]
+fn side_of_ball(along: f32, squared: f32, radius: f32, tangent: f32) -> [f32; 3] {
+    let aside_squared = squared - along * along;
+    // Unlike `max`, the comparison is vectorised.
+    let aside = (if aside_squared > 0.0 { aside_squared } else { 0.0 }).sqrt();
+    [aside, aside * tangent - along * radius, along * tangent + aside * radius]
+}
+
 impl BallBounds<'_> {
     /// Appends the balls that a cone with this axis may meet to `candidates`.
     #[inline(always)]
@@ -162,11 +172,7 @@ impl BallBounds<'_> {
             let mut mask = 0u32;
             for i in 0..LANES {
                 let along = x[i] * axis.x + y[i] * axis.y + z[i] * axis.z;
-                let aside_squared = squared[i] - along * along;
-                let aside = (if aside_squared > 0.0 { aside_squared } else { 0.0 }).sqrt();
-                // Sine and cosine of A - B, each times c^2.
-                let sine = aside * tangent[i] - along * radius[i];
-                let cosine = along * tangent[i] + aside * radius[i];
+                let [_, sine, cosine] = side_of_ball(along, squared[i], radius[i], tangent[i]);
                 let is_behind = cosine < -ROUNDING * squared[i];
                 bounds[i] = if is_behind { f32::INFINITY } else { sine - ROUNDING * squared[i] };
                 mask |= u32::from(bounds[i] <= limit[i]) << i;
@@ -215,12 +221,12 @@ impl Occluders {
 /// which is nearly straight there. The chord at the ball's edge bounds a large ball. `along` is the position of the
 /// centre along the axis, `squared` its squared distance, and the apex is outside the ball.
 fn covered_by_ball(along: f32, squared: f32, radius: f32) -> f32 {
-    let from_axis = (squared - along * along).max(0.0).sqrt();
     let tangent = (squared - radius * radius).max(0.0).sqrt();
-    if along * tangent + from_axis * radius < 0.0 {
+    let [from_axis, sine, cosine] = side_of_ball(along, squared, radius, tangent);
+    if cosine < 0.0 {
         return 0.0;
     }
-    let x = (from_axis * tangent - along * radius) / (AO_SLOPE * squared);
+    let x = sine / (AO_SLOPE * squared);
     let aside = if along > 0.0 { from_axis } else { squared.sqrt() };
     let within = visible_share((AO_SLOPE * squared.sqrt() - aside) / radius);
     let disc = radius * radius / (AO_SLOPE * AO_SLOPE * squared);
