@@ -28,6 +28,7 @@ pub(crate) mod last_picture;
 pub(crate) mod light;
 pub(crate) mod lighting;
 pub(crate) mod renderer;
+mod uneven;
 pub(crate) mod visibility;
 
 pub use content::instance::{Instance, InstanceInput};

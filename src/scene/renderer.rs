@@ -13,7 +13,9 @@
 
 use super::device::device_raster;
 use super::last_picture::{LastPicture, LightInputs, SurfaceInputs};
-use super::lighting::{compose, evaluation};
+use super::lighting::compose::{LitPass, divide_by_opacity};
+use super::lighting::evaluation;
+use super::uneven;
 use super::visibility::primary;
 use crate::error::{Error, SceneError};
 use crate::gpu::buffer::Counters;
@@ -31,7 +33,7 @@ use crate::scene::light::lit_surface::Lights;
 use crate::scene::light::shadow::Casters;
 use crate::scene::lighting::light_buffer::LightBuffer;
 use crate::scene::lighting::pass::Pass;
-use crate::scene::visibility::gbuffer::GBuffer;
+use crate::scene::visibility::gbuffer::{GBuffer, Pixels};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
@@ -93,7 +95,7 @@ impl Renderer {
             }
         };
         let (rendered, picture) =
-            drawn.map_or_else(|error| (Err(error), None), |(rendered, last)| (Ok(rendered), last));
+            drawn.map_or_else(|error| (Err(error), None), |(rendered, last)| (Ok(rendered), Some(last)));
         *self.last() = Last { device, picture: picture.filter(|picture| self.keeps_pictures && picture.is_small()) };
         rendered
     }
@@ -159,7 +161,7 @@ fn draw_timed(
     device: &mut DeviceScene,
     last: Option<LastPicture>,
     upload: f64,
-) -> Result<(Rendered, Option<LastPicture>), Error> {
+) -> Result<(Rendered, LastPicture), Error> {
     if let Some(timer) = &device.timer {
         timer.start();
     }
@@ -175,129 +177,168 @@ fn draw_timed(
     Ok((rendered, picture))
 }
 
-/// Draws a scene on the CPU, or on the device that has it. A picture with one sample per pixel uses the surfaces and
-/// the light of the last picture if they are the same. Its own are returned for the next picture.
+/// The surfaces of a pass and their light.
+struct Layers {
+    buffer: GBuffer,
+    direct: LightBuffer,
+    indirect: Option<LightBuffer>,
+    /// Counters of the light up to `direct`.
+    rays: [u64; 2],
+}
+
+/// The passes of one picture.
+struct Passes<'a> {
+    casters: &'a Casters<'a>,
+    camera: &'a Camera,
+    lights: &'a Lights,
+    bounces: Option<&'a Bounces<'a>>,
+    options: &'a RenderOptions,
+    device: Option<&'a DeviceScene>,
+    counters: RayCounters,
+    /// Duration of each stage by name: surfaces, light, and bounces if there are any.
+    seconds: Vec<(&'static str, f64)>,
+    progress: &'a Progress,
+}
+
+impl Passes<'_> {
+    /// The device of the light, if it has all fields.
+    fn light_device(&self) -> Option<&DeviceScene> {
+        self.device.filter(|device| device.has_all_fields())
+    }
+
+    /// Finds the surfaces of the `chosen` pixels, or of all, through the point `offset` of each pixel, and their light.
+    /// Given surfaces and given light are not computed again. Light is interpolated from a pass through the centres.
+    fn find(
+        &mut self,
+        offset: [f64; 2],
+        chosen: Option<&Pixels>,
+        (buffer, direct): (Option<GBuffer>, Option<LightBuffer>),
+        centre: Option<&Layers>,
+    ) -> Result<Layers, Error> {
+        let &mut Self { casters, camera, options, device, progress, .. } = self;
+        let start = Instant::now();
+        let buffer = match (buffer, device) {
+            (Some(buffer), _) => buffer,
+            (None, None) => primary::draw(casters.scene, camera, options, offset, chosen, progress)?,
+            (None, Some(device)) => {
+                device_raster::draw(casters.scene, device, camera, options, offset, chosen, progress)?
+            }
+        };
+        self.seconds[0].1 += start.elapsed().as_secs_f64();
+        let start = Instant::now();
+        let pass = self.pass(&buffer);
+        let direct = match direct {
+            Some(direct) => direct,
+            None => evaluation::find(&pass, centre.map(|centre| (&centre.buffer, &centre.direct)))?,
+        };
+        let rays = self.counters.counts();
+        let lit = start.elapsed().as_secs_f64();
+        let start = Instant::now();
+        let centre = centre.and_then(|centre| Some((&centre.buffer, centre.indirect.as_ref()?)));
+        let indirect = self.bounces.map(|bounces| evaluation::find_bounces(&pass, bounces, centre)).transpose()?;
+        self.seconds[1].1 += lit;
+        self.seconds.iter_mut().skip(2).for_each(|stage| stage.1 += start.elapsed().as_secs_f64());
+        Ok(Layers { buffer, direct, indirect, rays })
+    }
+
+    fn pass<'b>(&'b self, buffer: &'b GBuffer) -> Pass<'b> {
+        Pass {
+            casters: self.casters,
+            buffer,
+            lights: self.lights,
+            bounces: None,
+            own_paths: false,
+            options: self.options,
+            device: self.light_device(),
+            counters: &self.counters,
+            progress: self.progress,
+        }
+    }
+
+    /// Calls `shade` for the layers of a pass, and adds its time to the time of the light.
+    fn shaded<T>(&mut self, layers: &Layers, shade: impl FnOnce(&LitPass<'_>) -> Result<T, Error>) -> Result<T, Error> {
+        let start = Instant::now();
+        let pass = self.pass(&layers.buffer);
+        let shaded = shade(&LitPass { pass: &pass, direct: &layers.direct, indirect: layers.indirect.as_ref() });
+        self.seconds[1].1 += start.elapsed().as_secs_f64();
+        shaded
+    }
+}
+
+/// Draws a scene on the CPU, or on the device that has it. The picture uses the surfaces and the light of the last one
+/// if they are the same. Its own are returned for the next picture.
 fn draw(
     task: Task<'_>,
     device: Option<&DeviceScene>,
     last: Option<LastPicture>,
-) -> Result<(Rendered, Option<LastPicture>), Error> {
+) -> Result<(Rendered, LastPicture), Error> {
     let Task { scene, far, surfaces, options, progress } = task;
     let camera = &surfaces.camera;
     let sides = (options.samples as f64).sqrt().round() as u32;
-    let passes = if sides == 1 { 1 } else { 1 + sides * sides };
+    let count = if sides == 1 { 1 } else { 1 + sides * sides };
     let light_of = LightInputs::new(options);
-    let last = last.filter(|last| passes == 1 && last.surfaces_of == surfaces);
-    let (mut last_buffer, mut last_light, mut light_rays) = match last {
-        None => (None, None, [0; 2]),
-        Some(last) if last.light_of == light_of => (Some(last.buffer), Some(last.light), last.rays),
-        Some(last) => (Some(last.buffer), None, [0; 2]),
+    let (last, light_rays) = match last.filter(|last| last.surfaces_of == surfaces) {
+        None => ((None, None), [0; 2]),
+        Some(last) if last.light_of == light_of => ((Some(last.buffer), Some(last.light)), last.rays),
+        Some(last) => ((Some(last.buffer), None), [0; 2]),
     };
-    let reused = [last_buffer.is_some(), last_light.is_some()];
+    let reused = [last.0.is_some(), last.1.is_some()];
     // Each pass advances the progress by one for each row in which it finds surfaces, by more for each row in which it
     // finds their light, and by one for each row that it shades. A frame that reuses both shades only.
-    let draws = u64::from(passes) - u64::from(reused[0]);
-    let finds = evaluation::find_count(options, passes, reused[1]);
-    let shades = u64::from(passes);
+    let draws = u64::from(count) - u64::from(reused[0]);
+    let finds = evaluation::find_count(options, count, reused[1]);
+    let shades = u64::from(count);
     progress.set_total((draws + finds * evaluation::ROW_PROGRESS + shades) * u64::from(options.size[1]));
 
     if options.shadows != SceneShadows::None || options.occlusion.is_some() || options.bounces.is_some() {
         scene.prepare_rays();
     }
     let casters = Casters { scene, far, near: None };
-    let light_device = device.filter(|device| device.has_all_fields());
     let lights = Lights::new(scene, options);
-    let mut seconds = vec![("primary", 0.0), ("light", 0.0)];
     let bounces = Bounces::new(&casters, &lights, options, progress)?;
+    let mut seconds = vec![("primary", 0.0), ("light", 0.0)];
     seconds.extend(bounces.is_some().then_some(("bounces", 0.0)));
-    let counters = RayCounters::new(light_rays);
-    let mut frame: Option<Frame> = None;
-    let mut pixel_rays = Vec::new();
-    let mut sum: Vec<f32> = Vec::new();
-    // Results of the first pass for the others.
-    let mut centre: Option<(GBuffer, LightBuffer, Option<LightBuffer>)> = None;
-    for pass in 0..passes {
-        // The first pass goes through the pixel centres. The others divide each pixel evenly, for its colour only.
-        let offset = match pass.checked_sub(1) {
-            None => [0.5, 0.5],
-            Some(i) => [i % sides, i / sides].map(|k| (f64::from(k) + 0.5) / f64::from(sides)),
-        };
-        let start = Instant::now();
-        let buffer = match (last_buffer.take(), device) {
-            (Some(buffer), _) => buffer,
-            (None, None) => primary::draw(scene, camera, options, offset, progress)?,
-            (None, Some(device)) => device_raster::draw(scene, device, camera, options, offset, progress)?,
-        };
-        seconds[0].1 += start.elapsed().as_secs_f64();
-        let start = Instant::now();
-        let light_pass = Pass {
-            casters: &casters,
-            buffer: &buffer,
-            lights: &lights,
-            bounces: None,
-            own_paths: false,
-            options,
-            device: light_device,
-            counters: &counters,
-            progress,
-        };
-        let direct = match last_light.take() {
-            Some(direct) => direct,
-            None => evaluation::find(&light_pass, centre.as_ref().map(|(buffer, direct, _)| (buffer, direct)))?,
-        };
-        if pass == 0 {
-            light_rays = counters.counts();
-        }
-        seconds[1].1 += start.elapsed().as_secs_f64();
-        let mut indirect = None;
-        if let Some(bounces) = &bounces {
-            let start = Instant::now();
-            let centre = centre.as_ref().and_then(|(buffer, _, indirect)| Some((buffer, indirect.as_ref()?)));
-            indirect = Some(evaluation::find_bounces(&light_pass, bounces, centre)?);
-            seconds[2].1 += start.elapsed().as_secs_f64();
-        }
-        let start = Instant::now();
-        let (lit, rays) = compose::compose(&light_pass, &direct, indirect.as_ref())?;
-        seconds[1].1 += start.elapsed().as_secs_f64();
-        match &mut frame {
-            None => (frame, pixel_rays) = (Some(lit), rays),
-            Some(_) if sum.is_empty() => sum = lit.color,
-            Some(_) => sum.iter_mut().zip(lit.color).for_each(|(sum, color)| *sum += color),
-        }
-        if pass == 0 {
-            centre = Some((buffer, direct, indirect));
-        }
-    }
-    let mut frame = frame.expect("at least one pass");
-    if !sum.is_empty() {
-        let share = 1.0 / (sides * sides) as f32;
-        frame.color = sum.into_iter().map(|color| color * share).collect();
+    let mut passes = Passes {
+        casters: &casters,
+        camera,
+        lights: &lights,
+        bounces: bounces.as_ref(),
+        options,
+        device,
+        counters: RayCounters::new(light_rays),
+        seconds,
+        progress,
+    };
+    let centre = passes.find([0.5, 0.5], None, last, None)?;
+    let (mut frame, pixel_rays) = passes.shaded(&centre, |lit| lit.compose())?;
+    if sides > 1 {
+        uneven::sample(&mut frame, sides, |offset, chosen| {
+            let layers = passes.find(offset, Some(chosen), (None, None), Some(&centre))?;
+            passes.shaded(&layers, |lit| lit.colors(chosen))
+        })?;
     }
     if options.background[3] < 1.0 {
-        compose::divide_by_opacity(&mut frame.color, options);
+        divide_by_opacity(&mut frame.color, options);
     }
     let primary_on = match device {
         None => [false, true],
         Some(device) => [true, device_raster::left_over(scene, device, options).is_some()],
     };
-    let [rays, far_rays] = counters.counts();
-    let picture = centre.filter(|_| passes == 1).map(|(buffer, light, _)| LastPicture {
-        surfaces_of: surfaces,
-        light_of,
-        buffer,
-        light,
-        rays: light_rays,
-    });
+    let [all_rays, far_rays] = passes.counters.counts();
+    let is_lit_on_device = passes.light_device().is_some();
+    let seconds = passes.seconds;
+    let Layers { buffer, direct: light, rays, .. } = centre;
+    let picture = LastPicture { surfaces_of: surfaces, light_of, buffer, light, rays };
     let rendered = Rendered {
         frame,
         pixel_rays,
         primary_on,
         sheets: scene.sheets.len(),
-        is_lit_on_device: light_device.is_some(),
+        is_lit_on_device,
         reused,
         seconds,
         device_seconds: Vec::new(),
-        rays,
+        rays: all_rays,
         far_rays,
     };
     Ok((rendered, picture))

@@ -290,11 +290,12 @@ def test_pictures_at_rest_are_smooth(tmp_path: Path) -> None:
             assert (np.abs(first - center[..., :3]) <= 2).mean() >= 0.995
         else:
             first = draw(geometry, camera(), size=SIZE, shadows="hard", device="cpu").image[..., :3].astype(float)
-        # Four samples in the place of one halve the error of a pixel that has an edge.
+        # An edge divides 16 well spread samples with an error of about 1/16 of its contrast, and one sample with one of
+        # about 1/2. Half of that gain is left for edges that are thinner than a pixel.
         edges = np.ptp(large[..., :3].reshape(SIZE[1], 8, SIZE[0], 8, 3), axis=(1, 3)).max(axis=-1) > 32
         assert edges.sum() > 100
         before, after = (np.sqrt(((found - truth)[edges] ** 2).mean()) for found in (first, smooth))
-        assert after <= 0.6 * before, (after, before)
+        assert after <= 0.25 * before, (after, before)
 
 
 def check_modes(result: Visit) -> None:

@@ -40,8 +40,18 @@ const PAUSE_MS = 120;
 /** An exact picture is smoothed after this time without input, if it was drawn in SMOOTH_MS, milliseconds. */
 const SMOOTH_PAUSE_MS = 500;
 const SMOOTH_MS = 1000;
-/** Places of the four samples of a smooth pixel, pixels from its centre: one in each row and each column of a 4 x 4 grid. */
-const SAMPLES = [[-0.125, -0.375], [0.375, -0.125], [0.125, 0.375], [-0.375, 0.125]];
+/**
+ * Places of the 16 samples of a smooth pixel, pixels from its centre: the first 16 points of the sequence of Sobol. There is
+ * one in each row and each column of a 16 x 16 grid and in each cell of a 4 x 4 grid. The first four are spread likewise.
+ */
+const SAMPLES = Array.from({ length: 16 }, (_, i) => {
+  const bits = [0, 1, 2, 3].filter((bit) => i & (1 << bit));
+  const across = bits.reduce((sum, bit) => sum ^ (8 >> bit), 1);
+  const upwards = bits.reduce((sum, bit) => sum ^ [8, 12, 10, 15][bit], 2);
+  return [across, upwards].map((place) => (place + 0.5) / 16 - 0.5);
+});
+/** A smooth picture is shown after this number of samples too. */
+const FIRST_SAMPLES = 4;
 /** A view releases its context after this time without input, milliseconds. */
 const IDLE_MS = 3000;
 /** A picture of coarse triangles that takes less than this is followed by one of fine ones, four to ten times as many, milliseconds. */
@@ -206,7 +216,7 @@ export class View {
 
   /**
    * Draw again. A "moving" picture is drawn at once: by triangles at full size, or by rays at a smaller size. A "still" one
-   * follows after a pause. A "smooth" one replaces a still one by the mean of four samples for each pixel.
+   * follows after a pause. A "smooth" one replaces a still one by the mean of 16 samples for each pixel.
    * A "hidden" picture is a moving one that leaves the canvas as it is: it prepares the device for the first input.
    */
   redraw(kind: Drawing = "still"): void {
@@ -451,14 +461,14 @@ export class View {
     return true;
   }
 
-  /** Replace the picture by the mean of four samples for each pixel. */
+  /** Replace the picture by the mean of four samples for each pixel, then by the mean of all. */
   private drawSmooth(resources: Resources): Promise<void> {
     const { turn } = this;
     return inQueue(false, async () => {
       const started = performance.now();
       const { width, height } = this.canvas;
       const sums = new Float32Array(4 * width * height);
-      for (const shift of SAMPLES) {
+      for (const [number, shift] of SAMPLES.entries()) {
         if (!this.isCurrent(resources, turn)) return;
         resources.prepare(this.camera, this.settings, width, height, this.picture, false, shift);
         if (!(await this.drawPieces(resources, turn, "smooth"))) return;
@@ -468,11 +478,13 @@ export class View {
           for (let k = 0; k < 3; k++) sums[i + k] += bytes[i + k] * opacity;
           sums[i + 3] += opacity;
         }
+        if (this.turn !== turn) return;
+        const count = number + 1;
+        if (count !== FIRST_SAMPLES && count !== SAMPLES.length) continue;
+        const image = this.context.createImageData(width, height);
+        sums.forEach((sum, i) => (image.data[i] = (i & 3) === 3 ? sum / count : sum / (sums[i | 3] || 1)));
+        this.context.putImageData(image, 0, 0);
       }
-      if (this.turn !== turn) return;
-      const image = this.context.createImageData(width, height);
-      sums.forEach((sum, i) => (image.data[i] = (i & 3) === 3 ? sum / SAMPLES.length : sum / (sums[i | 3] || 1)));
-      this.context.putImageData(image, 0, 0);
       this.times.smooth = performance.now() - started;
     });
   }

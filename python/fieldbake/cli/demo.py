@@ -14,7 +14,7 @@ from ..base.log import logger
 from ..base.progress import Progress
 from ..base.report import bytes_text
 from ..drawing.frame import bytes_from_unit, save_image
-from ..drawing.raymarching import raymarch
+from ..drawing.raymarching import PICTURE_SAMPLES, raymarch
 from ..loading.readers import load
 from ..meshes.convert import load_mesh
 from ..meshes.mesh import Mesh
@@ -73,7 +73,7 @@ def run(
         tell(f"  saved and loaded {archive} ({bytes_text(archive.stat().st_size)})")
 
         camera = Camera.fit(volume.inner_bounds, direction=direction, aspect=SIZE[0] / SIZE[1])
-        frame = raymarch(volume, camera, size=SIZE, color=color)
+        frame = raymarch(volume, camera, size=SIZE, samples=PICTURE_SAMPLES, color=color)
         picture, steps, cut = (out / f"{name}{part}.png" for part in ("", "-steps", "-slice"))
         frame.save(picture)
         save_image(frame.heatmap("steps"), steps)

@@ -13,6 +13,7 @@ from rich.table import Table
 import fieldbake as fb
 
 from ..drawing.frame import check_picture, save_image
+from ..drawing.raymarching import PICTURE_SAMPLES
 from ..files.registry import ENDINGS
 from . import demo as demonstration
 from .application import app, err, out
@@ -167,7 +168,15 @@ def csg(
         out.print(f"[bold]{escape(str(output))}[/]  {escape(repr(volume))}", soft_wrap=True)
         return
     camera = fb.Camera.fit(shape.bounds, direction=direction, up=(0, 0, 1), aspect=size[0] / size[1])
-    frame = fb.raymarch(shape, camera, size=size, method=method, device=device, progress=err.is_terminal)
+    frame = fb.raymarch(
+        shape,
+        camera,
+        size=size,
+        samples=PICTURE_SAMPLES,
+        method=method,
+        device=device,
+        progress=err.is_terminal,
+    )
     frame.save(output)
     out.print(f"[bold]{escape(str(output))}[/]  {escape(repr(frame))}", soft_wrap=True)
 

@@ -36,6 +36,9 @@ Method = Literal["auto", "whole", "aabb", "octree"]
 #: Voxels along the longest side of a mesh that is baked for a picture.
 PICTURE_RESOLUTION = 128
 
+#: Colour samples per pixel of pictures in notebooks, pages and the demonstration.
+PICTURE_SAMPLES = 4
+
 
 @former_names(thing="geometry")
 def raymarch(
@@ -44,6 +47,7 @@ def raymarch(
     *,
     size: tuple[int, int] = (512, 512),
     shadows: Shadows = "soft",
+    samples: int = 1,
     filter: Filter = "linear",
     lights: Sequence[Light] | None = None,
     ambient: float | None = None,
@@ -71,6 +75,8 @@ def raymarch(
     shadows : "soft", "hard", "none" or "area", default "soft"
         Kind of shadows that the surface casts on itself, as for :func:`render`. A light without a size, such as the
         default light, has hard shadows.
+    samples : int, default 1
+        Colour samples per pixel, a square number up to 64, as for :func:`render`. Higher values smooth edges.
     filter : "linear" or "nearest", default "linear"
         Interpolation between samples: trilinear or none.
         ``"nearest"`` draws the voxels whose samples are not positive, as cubes or boxes.
@@ -101,7 +107,7 @@ def raymarch(
     Raises
     ------
     SceneError
-        For an unusable camera, light or size.
+        For an unusable camera, light, size or number of samples.
     ArgumentError
         For any other option that is out of range or not applicable to the object.
     MeshError, CapacityError, DeviceError
@@ -147,7 +153,14 @@ def raymarch(
         if checks.choice("filter", filter, get_args(Filter)) != "linear":
             raise SceneError('filter: scenes are drawn with "linear" only')
         return render(
-            geometry, camera, size=size, primary="raymarch", shadows=shadows, device=device, progress=progress
+            geometry,
+            camera,
+            size=size,
+            primary="raymarch",
+            shadows=shadows,
+            samples=samples,
+            device=device,
+            progress=progress,
         )
     geometry = plain_field(geometry)
     checked = checked_size(size)
@@ -161,6 +174,7 @@ def raymarch(
         camera=camera,
         size=checked,
         shadows=shadows,
+        samples=checks.integer("samples", samples, least=1, most=64, error=SceneError),
         filter=filter,
         lights=None if lights is None else _checked_lights(lights),
         ambient=checks.number("ambient", AMBIENT if ambient is None else ambient, least=0),
@@ -193,6 +207,7 @@ class _Options:
     camera: Camera | None
     size: tuple[int, int]
     shadows: Shadows
+    samples: int
     filter: Filter
     lights: Sequence[Light] | None
     ambient: float
@@ -205,9 +220,9 @@ class _Options:
 
     @property
     def needs_scene(self) -> bool:
-        """Whether only the light pass of scenes has these shadows and lights."""
+        """Whether only scenes are drawn with these samples, shadows and lights."""
         lights = self.lights or ()
-        if any(isinstance(light, (PointLight, SpotLight)) for light in lights):
+        if self.samples > 1 or any(isinstance(light, (PointLight, SpotLight)) for light in lights):
             return True
         has_size = any(isinstance(light, DirectionalLight) and light.angle_deg > 0 for light in lights)
         return self.shadows in ("soft", "area") and has_size
@@ -242,6 +257,7 @@ class _Options:
             size=self.size,
             primary=primary,
             shadows=self.shadows,
+            samples=self.samples,
             device=device,
             progress=self.progress,
         )
@@ -316,7 +332,8 @@ def _draw_zarr(volume: ZarrVolume, options: _Options) -> Frame:
 def _refuse_filter(options: _Options) -> None:
     if options.filter != "linear":
         raise ArgumentError(
-            f'filter: "{options.filter}" needs a volume and directional lights, without a size or with shadows="hard"'
+            f'filter: "{options.filter}" needs a volume, one sample per pixel, and directional lights without a size '
+            'or with shadows="hard"'
         )
 
 

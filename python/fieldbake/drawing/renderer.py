@@ -57,8 +57,8 @@ class Renderer:
     A frame is the picture that :func:`render` draws of the scene with the same camera, lights, transforms and
     materials: bit for bit on the CPU.
 
-    With ``samples=1`` a frame reuses the visible surfaces of the frame before if the camera, the transforms and the
-    materials are the same. If the lights have the same places and sizes too, it reuses their shadows and the occlusion:
+    A frame reuses the visible surfaces of the frame before if the camera, the transforms and the materials are the
+    same. If the lights have the same places and sizes too, it reuses their shadows and the occlusion:
     other colours and intensities of the lights cost little. ``report["reused"]`` lists these stages. For this the
     renderer keeps 100 bytes of host memory for each visible surface of the last frame, and 16 for each light but the
     first. It keeps nothing of a frame that would need more than 256 MiB.

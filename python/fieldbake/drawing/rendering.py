@@ -265,9 +265,10 @@ def render(scene: Any, camera: Camera | None = None, **options: Unpack[RenderOpt
         Whether the noise of the paths of `bounces` is removed by an edge-aware filter over the picture. False leaves
         the mean of its own paths at each pixel, all of which are evaluated then: it takes several times longer.
     samples : int, default 1
-        Colour samples per pixel, a square number up to 64: 1, 4, 9, 16, ... Higher values smooth edges. Depth,
-        normals and ids are taken at the pixel centre. Lighting is interpolated from neighbouring centres where they
-        agree, and evaluated elsewhere.
+        Colour samples per pixel, a square number up to 64: 1, 4, 9, 16, ... Higher values smooth edges. A pixel has
+        one sample where the displayed colours of neighbouring pixels change evenly, to 1/32, on one object without an
+        edge; the mean over such a pixel is the colour at its centre. Depth, normals and ids are taken at the pixel
+        centre. Lighting is interpolated from neighbouring centres where they agree, and evaluated elsewhere.
     light_scale : 1 or 2, default 1
         2 evaluates lighting at a quarter of the pixels and upsamples it (joint bilateral upsampling). Pixels whose
         neighbours lie on another surface, or differ by more than 1/8, are evaluated exactly.

@@ -18,7 +18,7 @@ from ..base import checks
 from ..base.errors import SceneError
 from ..base.notices import warn
 from ..drawing.frame import Frame
-from ..drawing.raymarching import PICTURE_RESOLUTION, raymarch
+from ..drawing.raymarching import PICTURE_RESOLUTION, PICTURE_SAMPLES, raymarch
 from ..files.compression import gzip_pieces
 from ..meshes.mesh import Mesh
 from ..meshes.part import Part
@@ -113,7 +113,7 @@ class Content:
         share = min(1.0, most_px / max(width, height))
         size = max(1, round(width * share)), max(1, round(height * share))
         if self._frame is None or self._frame.size != size:
-            self._frame = raymarch(self.drawn, self.camera, size=size, device="cpu")
+            self._frame = raymarch(self.drawn, self.camera, size=size, samples=PICTURE_SAMPLES, device="cpu")
         return self._frame
 
     def packed(self) -> bytes:

@@ -13,7 +13,7 @@ from ..base.errors import ArgumentError, SceneError
 from ..base.notices import warn
 from ..base.viewable import register
 from ..drawing.options import checked_size
-from ..drawing.raymarching import raymarch
+from ..drawing.raymarching import PICTURE_SAMPLES, raymarch
 from ..drawing.rendering import render
 from ..files.container import atomic_write
 from ..merging.nested import NestedField
@@ -48,7 +48,7 @@ def picture(geometry: Any) -> bytes | None:
     if isinstance(geometry, (Mesh, Scene)):
         # Triangles need no field, and shadows would.
         scene = geometry if isinstance(geometry, Scene) else Scene([geometry])
-        return render(scene, size=PICTURE_SIZE, shadows="none", device="cpu")._repr_png_()
+        return render(scene, size=PICTURE_SIZE, shadows="none", samples=PICTURE_SAMPLES, device="cpu")._repr_png_()
     geometry = plain_field(geometry)
     levels = (
         geometry.levels if isinstance(geometry, NestedField) else [geometry] if isinstance(geometry, Volume) else None
@@ -56,7 +56,7 @@ def picture(geometry: Any) -> bytes | None:
     if levels and not any(level.distances.min() <= 0 <= level.distances.max() for level in levels):
         return None
     if isinstance(geometry, NestedField):
-        return raymarch(geometry, size=PICTURE_SIZE, device="cpu")._repr_png_()
+        return raymarch(geometry, size=PICTURE_SIZE, samples=PICTURE_SAMPLES, device="cpu")._repr_png_()
     if isinstance(geometry, Atlas) and not len(geometry):
         return None
     return content_of(geometry, None, "float32", PICTURE_SIZE).frame(max(PICTURE_SIZE))._repr_png_()

@@ -20,7 +20,7 @@ use crate::scene::content::instance::Instance;
 use crate::scene::content::material::Material;
 use crate::scene::content::model::Scene;
 use crate::scene::content::options::{Primary, RenderOptions};
-use crate::scene::visibility::gbuffer::{DeviceVisibility, GBuffer, Layer, View};
+use crate::scene::visibility::gbuffer::{DeviceVisibility, GBuffer, Layer, Pixels, View};
 use crate::scene::visibility::pixel_ray::{PixelRay, as_triangles, draw_row, is_opaque};
 use glam::{DAffine3, DMat3, DVec3};
 use rayon::prelude::*;
@@ -59,6 +59,7 @@ pub(crate) fn draw(
     camera: &Camera,
     options: &RenderOptions,
     offset: [f64; 2],
+    chosen: Option<&Pixels>,
     progress: &Progress,
 ) -> Result<GBuffer, Error> {
     let view = View { camera: *camera, size: options.size, offset };
@@ -74,8 +75,11 @@ pub(crate) fn draw(
             .par_chunks_exact(width as usize)
             .enumerate()
             .map(|(i, pixels)| {
-                let row = draw_row(scene, options, &view, first + i as u32, |ray, layers| {
-                    resolve(ray, pixels[ray.x as usize], left_over.as_deref(), layers);
+                let y = first + i as u32;
+                let row = draw_row(scene, options, &view, y, |ray, layers| {
+                    if chosen.is_none_or(|chosen| chosen.contains(ray.x, y)) {
+                        resolve(ray, pixels[ray.x as usize], left_over.as_deref(), layers);
+                    }
                 });
                 progress.advance(1)?;
                 Ok(row)

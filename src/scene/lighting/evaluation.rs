@@ -38,7 +38,7 @@ const LEAST_OPEN: u32 = 24;
 
 /// Distance of the evaluated pixels of a picture with at least this number of them along its shorter side.
 fn smooth_scale([width, height]: [u32; 2], least: u32) -> u32 {
-    let mut every = if std::env::var_os("AO1").is_some() { 1 } else { SMOOTH_SCALE };
+    let mut every = SMOOTH_SCALE;
     while every > 1 && every * least > width.min(height) {
         every /= 2;
     }

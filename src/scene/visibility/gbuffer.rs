@@ -25,6 +25,21 @@ pub(crate) struct Layer {
     pub is_from_device: bool,
 }
 
+/// Some pixels of a picture.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Pixels {
+    pub width: usize,
+    /// Whether each pixel is one of them, by rows from the top.
+    pub is_chosen: Vec<bool>,
+}
+
+impl Pixels {
+    #[inline]
+    pub(crate) fn contains(&self, x: u32, y: u32) -> bool {
+        self.is_chosen[x as usize + self.width * y as usize]
+    }
+}
+
 /// The visible surfaces of a picture, by rows from the top. A row has the layers of its pixels in order, the layers of
 /// one pixel from front to back.
 #[derive(Debug)]

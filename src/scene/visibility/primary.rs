@@ -6,7 +6,7 @@
 //!
 //! A pixel has a list of layers: the first opaque surface, and the translucent surfaces in front of it.
 
-use super::gbuffer::{GBuffer, Layer, View};
+use super::gbuffer::{GBuffer, Layer, Pixels, View};
 use super::pixel_ray::draw_row;
 use super::rasterizer::{BAND_ROWS, Rasterizer};
 use crate::error::Error;
@@ -16,15 +16,20 @@ use crate::scene::content::model::Scene;
 use crate::scene::content::options::RenderOptions;
 use rayon::prelude::*;
 
-/// Finds the visible surfaces of each pixel, through the point `offset` of the pixel; (1/2, 1/2) is its centre.
+/// Finds the visible surfaces of each pixel, or of the `chosen` ones alone, through the point `offset` of the pixel;
+/// (1/2, 1/2) is its centre.
 pub(crate) fn draw(
     scene: &Scene,
     camera: &Camera,
     options: &RenderOptions,
     offset: [f64; 2],
+    chosen: Option<&Pixels>,
     progress: &Progress,
 ) -> Result<GBuffer, Error> {
     let view = View { camera: *camera, size: options.size, offset };
+    if let Some(chosen) = chosen {
+        return trace(scene, options, view, chosen, progress);
+    }
     let rasterizer = Rasterizer::new(scene, options, &view);
     let [width, height] = options.size;
     let bands = (0..height.div_ceil(BAND_ROWS)).into_par_iter();
@@ -46,5 +51,29 @@ pub(crate) fn draw(
         })
         .collect::<Result<_, Error>>()?;
     let (rows, steps) = pairs.into_iter().flatten().unzip();
+    Ok(GBuffer { rows, steps, view, visible: None })
+}
+
+/// Finds the visible surfaces of some pixels by rays alone.
+fn trace(
+    scene: &Scene,
+    options: &RenderOptions,
+    view: View,
+    chosen: &Pixels,
+    progress: &Progress,
+) -> Result<GBuffer, Error> {
+    let pairs: Vec<(Vec<Layer>, Vec<u32>)> = (0..view.size[1])
+        .into_par_iter()
+        .map(|y| {
+            let row = draw_row(scene, options, &view, y, |ray, layers| {
+                if chosen.contains(ray.x, y) {
+                    ray.trace(layers, None);
+                }
+            });
+            progress.advance(1)?;
+            Ok(row)
+        })
+        .collect::<Result<_, Error>>()?;
+    let (rows, steps) = pairs.into_iter().unzip();
     Ok(GBuffer { rows, steps, view, visible: None })
 }

@@ -420,7 +420,9 @@ class ZarrVolume(GridField):
         """Draw the surface for notebooks; None if there is no surface."""
         if not self._reader.states[0].any():
             return None
-        picture: bytes | None = self.raymarch(size=(256, 256), device="cpu")._repr_png_()
+        from ...drawing.raymarching import PICTURE_SAMPLES
+
+        picture: bytes | None = self.raymarch(size=(256, 256), samples=PICTURE_SAMPLES, device="cpu")._repr_png_()
         return picture
 
     def __repr__(self) -> str:
