@@ -20,7 +20,7 @@ use crate::surface::probes::{NEAR_STEP, PROBES, Place, around};
 use crate::surface::{CrossedEdge, Crossing, ExtraPlanes, LevelSurface, SurfaceBlocks};
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Cells along the side of a block. Smaller blocks evaluate fewer samples far from the surface, but share more samples
 /// on their faces.
@@ -51,8 +51,37 @@ const ASIDE: DVec3 = DVec3::new(4.3e-8, 5.7e-8, 7.1e-8);
 /// The square of the smallest gradient that has a direction.
 const LEAST_SQUARE: f64 = 1e-12;
 
-/// The level set of a shape on a grid.
+/// Largest difference of a sample on a joint from the level, voxels.
+const ON_JOINT: f64 = 1.0 / 8192.0;
+
+/// Distance of the points on both sides of a joint from the sample on it, voxels.
+const BESIDE_JOINT: f64 = 1.0 / 8.0;
+
+/// Number of grids that are tried until no sample lies on a joint.
+const MOST_GRIDS: usize = 4;
+
+/// The level set of a shape on a grid. A joint is a place inside the solid where parts that touch have the value of the
+/// level, as on the common face of two boxes. Samples on a joint would count as outside, and divide the solid. The grid
+/// has one voxel more then along the axes across the joint.
 pub fn level_surface(solid: &Solid, grid: &Grid, level: f32, progress: &Progress) -> Result<LevelSurface, Error> {
+    let mut grid = *grid;
+    for _ in 1..MOST_GRIDS {
+        let (surface, across) = level_surface_and_joints(solid, &grid, level, progress)?;
+        if across == [false; 3] {
+            return Ok(surface);
+        }
+        (0..3).for_each(|axis| grid.shape[axis] += usize::from(across[axis]));
+    }
+    Ok(level_surface_and_joints(solid, &grid, level, progress)?.0)
+}
+
+/// The level set on a grid, and the axes across joints with samples on them.
+fn level_surface_and_joints(
+    solid: &Solid,
+    grid: &Grid,
+    level: f32,
+    progress: &Progress,
+) -> Result<(LevelSurface, [bool; 3]), Error> {
     let mut blocks = SurfaceBlocks::new(*grid, level)?;
     let shape = IVec3::from_array(grid.shape.map(|n| n as i32));
     // Cells run from -1 to n - 1, so there are n + 1 along each axis.
@@ -86,11 +115,59 @@ pub fn level_surface(solid: &Solid, grid: &Grid, level: f32, progress: &Progress
         origins = children.filter(|origin| origin.cmplt(shape).all()).collect();
     }
     let origins: Vec<[i32; 3]> = origins.into_iter().map(IVec3::into).collect();
+    let suspects: Mutex<Vec<(DVec3, usize)>> = Mutex::default();
     let fill = |stack: &mut Stack<f64, LANES>, origin: [i32; 3], samples: &mut [f32]| {
         solid.samples_of_block(grid, SIDE, origin, stack, samples);
+        let found = suspected_joints(samples, level, (ON_JOINT * grid.spacing().min_element()) as f32);
+        if !found.is_empty() {
+            let place = |index: IVec3| grid.lower + ((IVec3::from(origin) + index).as_dvec3() + 0.5) * grid.spacing();
+            let found = found.into_iter().map(|(index, axis)| (place(index), axis));
+            suspects.lock().unwrap_or_else(PoisonError::into_inner).extend(found);
+        }
     };
     blocks.add_evaluated(SIDE, &origins, Stack::default, fill, progress)?;
-    Ok(blocks.surface())
+    let suspects = suspects.into_inner().unwrap_or_else(PoisonError::into_inner);
+    Ok((blocks.surface(), axes_across_joints(solid, grid, level, &suspects, progress)?))
+}
+
+/// Samples of a block at the level, and the axis along which no neighbour in the block is outside.
+fn suspected_joints(samples: &[f32], level: f32, tolerance: f32) -> Vec<(IVec3, usize)> {
+    let n = SIDE as i32 + 1;
+    let mut found = Vec::new();
+    for (i, _) in samples.iter().enumerate().filter(|(_, value)| (**value - level).abs() <= tolerance) {
+        let i = i as i32;
+        let index = IVec3::new(i % n, i / n % n, i / (n * n));
+        for (axis, step) in [1, n, n * n].into_iter().enumerate() {
+            let is_inside = |at: i32| samples[at as usize] < level - tolerance;
+            let before = index[axis] == 0 || is_inside(i - step);
+            let after = index[axis] == n - 1 || is_inside(i + step);
+            if before && after {
+                found.push((index, axis));
+            }
+        }
+    }
+    found
+}
+
+/// The axes along which both sides of a suspected sample are inside.
+fn axes_across_joints(
+    solid: &Solid,
+    grid: &Grid,
+    level: f32,
+    suspects: &[(DVec3, usize)],
+    progress: &Progress,
+) -> Result<[bool; 3], Error> {
+    let sides = suspects.iter().flat_map(|&(place, axis)| {
+        let step = BESIDE_JOINT * grid.spacing()[axis] * DVec3::AXES[axis];
+        [place - step, place + step]
+    });
+    let values = solid.distances(&sides.collect::<Vec<_>>(), progress)?;
+    let inside = level - (ON_JOINT * grid.spacing().min_element()) as f32;
+    let mut across = [false; 3];
+    for (&(_, axis), sides) in suspects.iter().zip(values.as_chunks::<2>().0) {
+        across[axis] |= sides.iter().all(|&value| value < inside);
+    }
+    Ok(across)
 }
 
 /// Buffers of evaluations.

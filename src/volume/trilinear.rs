@@ -32,9 +32,6 @@ const CHUNK_POINTS: usize = 4096;
 /// within the time of about ten evaluations.
 const PREFETCH_POINTS: usize = 16;
 
-/// Largest rounding error of a voxel centre in grid space. In f64, a box 1e6 voxels from the origin stays below 1e-9.
-const CENTRE_SNAP_VOXELS: f64 = 1e-6;
-
 /// A cube in which a field is the trilinear function of its corner values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cell {
@@ -96,18 +93,14 @@ pub trait Trilinear: Sync {
         self.cell(voxel).at(voxel.as_dvec3())
     }
 
-    /// Gradient of the trilinear field, distance per world unit. A point outside the box is replaced by the nearest
-    /// point of the box.
-    ///
-    /// It is zero along an axis in the outer half voxel, where the field is constant along it. It jumps between cells.
+    /// Gradient of the trilinear field, distance per world unit. A point beyond the outermost voxel centres is replaced
+    /// by the nearest point between them: in the outer half voxel the field has no slope of its own. The gradient jumps
+    /// between cells, and is zero along an axis of one voxel.
     fn gradient(&self, p: DVec3) -> Vec3 {
-        let p_grid = self.clamp_to_box(self.grid_from_world(p));
-        // The outermost centres belong to the cell between centres, even if rounding places `p` beyond them.
         let last = self.shape() - 1.0;
-        let between_centres = p_grid.max(DVec3::ZERO).min(last);
-        let at_centre = (p_grid - between_centres).abs().cmplt(DVec3::splat(CENTRE_SNAP_VOXELS));
-        let p_grid = DVec3::select(at_centre, between_centres, p_grid);
-        let index = DVec3::select(at_centre, p_grid.floor().min(last - 1.0), p_grid.floor());
+        let p_grid = self.grid_from_world(p).max(DVec3::ZERO).min(last);
+        // The last centres belong to the cell before them.
+        let index = p_grid.floor().min(last - 1.0);
         let per_voxel = self.cell(index.as_ivec3()).gradient(p_grid);
         (per_voxel.as_dvec3() / self.grid().spacing()).as_vec3()
     }

@@ -143,6 +143,24 @@ def test_limits_are_included_and_in_lengths_of_the_direction():
     assert fb.count_intersections(square, origin, direction, t_min=2.001) == 0
 
 
+def test_a_hit_does_not_depend_on_the_lower_limit(random):
+    ball = fb.sphere(1).to_mesh(12)
+    origins = random.normal(size=(300, 3))
+    origins *= random.uniform(2, 5, size=(300, 1)) / np.linalg.norm(origins, axis=1, keepdims=True)
+    directions = 0.3 * random.normal(size=(300, 3)) - origins
+    first = fb.cast_rays(ball, origins, directions, device="cpu")
+    assert first.hit.sum() > 200
+
+    for i in np.flatnonzero(first.hit):
+        at = fb.cast_rays(ball, origins[i], directions[i], t_min=first.t[i], t_max=first.t[i], device="cpu")
+        assert (at.t, at.faces) == (first.t[i], first.faces[i])
+        # A ray that goes on after a hit leaves the ball through another face.
+        after = fb.cast_rays(ball, origins[i], directions[i], t_min=np.nextafter(first.t[i], np.inf), device="cpu")
+        assert after.hit
+        assert after.faces != first.faces[i]
+        assert fb.occluded(ball, origins[i], directions[i], t_min=first.t[i], t_max=first.t[i], device="cpu")
+
+
 @pytest.mark.parametrize("length", [1e-12, 1e12])
 def test_the_length_of_the_direction_does_not_matter(length):
     cube = meshes.box()

@@ -395,3 +395,32 @@ def test_the_thinnest_part_of_a_shell_is_its_wall():
     # Each side of the wall may be off by the distance between the result and the ideal shell.
     off = max(made.report.distance_to_source, made.report.distance_from_source)
     assert abs(made.report.thinnest_part - 0.3) <= 2 * off + 1e-6
+
+
+# --- joints of touching shapes
+
+
+@pytest.mark.parametrize("resolution", [30, 32, 33, 48, 64, 99])
+def test_touching_shapes_are_one_solid(resolution):
+    plate_with_boss = fb.box(2) | fb.cylinder(0.5, 1).translate((0, 0, 1.5))
+    mesh = plate_with_boss.to_mesh(resolution)
+    assert mesh.topology()["components"] == 1
+    assert faults(mesh.vertices, mesh.faces) == []
+    # The boss adds its side to the surface. The rim of the mesh is a polygon.
+    assert mesh.area == pytest.approx(24 + np.pi, rel=0.002)
+
+
+@pytest.mark.parametrize("resolution", range(20, 30))
+@pytest.mark.parametrize("shift", [(1, 0.3, 0.2), (0, -1, 0), (0.25, 0.25, 1)])
+def test_boxes_with_a_common_face_are_one_solid(resolution, shift):
+    pair = fb.box(1) | fb.box(1).translate(shift)
+    mesh = pair.to_mesh(resolution)
+    assert mesh.topology()["components"] == 1
+    assert mesh.volume == pytest.approx(2, rel=1e-6)
+
+
+def test_a_gap_stays_open():
+    apart = fb.box(1) | fb.box(1).translate((1.2, 0, 0))
+    # A voxel of 0.1, with samples in the middle of the gap.
+    mesh = apart.to_mesh(bounds=[(-0.75, -0.75, -0.75), (1.95, 0.75, 0.75)], voxel_size=0.1)
+    assert mesh.topology()["components"] == 2

@@ -197,6 +197,18 @@ def test_the_gradient_of_a_plane_is_its_normal(random):
     )
 
 
+def test_beyond_the_outermost_samples_the_gradient_is_the_one_at_them(sphere, random):
+    lower, upper = sphere.bounds
+    points = random.uniform(3 * lower, 3 * upper, size=(500, 3))
+    nearest = np.clip(points, lower + 0.5 * sphere.spacing, upper - 0.5 * sphere.spacing)
+    found = sphere.gradient(points)
+    # Positions in float64 are rounded by 1e-15, and slopes in float32 by 1e-7 of a sample divided by a voxel.
+    assert np.abs(found - sphere.gradient(nearest)).max() <= 1e-5
+    # The field at the box is the distance to a sphere, up to the interpolation between samples.
+    outwards = nearest / np.linalg.norm(nearest, axis=1, keepdims=True)
+    assert np.abs(found - outwards).max() <= 0.1
+
+
 def test_on_a_sphere_the_gradient_points_outwards(sphere, random):
     direction = random.standard_normal((500, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)

@@ -136,7 +136,8 @@ class StoredSamples(GridField):
         Parameters
         ----------
         points : (n, 3) real
-            World positions of any leading shape. A point outside the box is replaced by the nearest point of the box.
+            World positions of any leading shape. A point beyond the outermost voxel centres is replaced by the nearest
+            point between them.
         device
             As for :meth:`sample`.
 

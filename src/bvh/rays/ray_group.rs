@@ -158,7 +158,7 @@ mod avx2 {
             let farthest = _mm256_max_pd(enter_size, leave_size);
             let room = _mm256_mul_pd(_mm256_set1_pd(FAR_MARGIN), farthest);
             let (enter, leave) = (_mm256_sub_pd(enter, room), _mm256_add_pd(leave, room));
-            let start = _mm256_max_pd(_mm256_mul_pd(enter, unscale), t_min);
+            let start = _mm256_max_pd(_mm256_mul_pd(enter, unscale), _mm256_min_pd(t_min, _mm256_setzero_pd()));
             let end = _mm256_min_pd(_mm256_mul_pd(leave, unscale), t_max);
 
             let is_finite = _mm256_and_pd(

@@ -98,7 +98,9 @@ impl Clip {
         }
         let inverse = reciprocal * size;
         let (enter, leave) = slab(ray.origin, inverse, min, max);
-        let (t_start, t_end) = (larger(enter * unscale, ray.t_min), smaller(leave * unscale, ray.t_max));
+        // The search begins at the box or at the origin also if `t_min` is larger, so that the `t` of a hit does not
+        // depend on it.
+        let (t_start, t_end) = (larger(enter * unscale, ray.t_min.min(0.0)), smaller(leave * unscale, ray.t_max));
         // A ray that misses has enter > leave.
         if enter > leave || t_start > t_end || t_start.is_infinite() {
             return None;
@@ -141,20 +143,22 @@ impl ClippedRay {
 
     /// The ray for a search on a device; None if float32 does not represent its range of `t`.
     pub(crate) fn for_device(&self) -> Option<CastRay> {
-        let limit = self.search_limit(f64::INFINITY);
-        let is_near = (self.t_start * self.size).abs() <= DEVICE_REACH;
+        let start = larger(self.t_start, self.t_min);
+        let skipped = (start - self.t_start) * self.size;
+        let limit = (f64::from(self.search_limit(f64::INFINITY)) - skipped) as f32;
+        let is_near = (start * self.size).abs() <= DEVICE_REACH;
         if !is_near || !limit.is_finite() {
             return None;
         }
         let Sheared { origin, inverse, axes: [x, y, z], shear } = self.sheared;
-        let mut direction = [0.0; 3];
-        direction[x] = (shear[0] * shear[2]) as f32;
-        direction[y] = (shear[1] * shear[2]) as f32;
-        direction[z] = shear[2] as f32;
+        let mut direction = DVec3::ZERO;
+        direction[x] = shear[0] * shear[2];
+        direction[y] = shear[1] * shear[2];
+        direction[z] = shear[2];
         Some(CastRay {
-            origin: origin.as_vec3().to_array(),
+            origin: (origin + skipped * direction).as_vec3().to_array(),
             limit,
-            direction,
+            direction: direction.as_vec3().to_array(),
             axis: z as u32,
             inverse: inverse.clamp(DVec3::splat(-PARALLEL), DVec3::splat(PARALLEL)).as_vec3().to_array(),
             pad_0: 0,
