@@ -83,6 +83,21 @@ def test_signed_distances_are_those_of_the_query(scene, random):
     assert np.array_equal(found, fb.query(scene, points).distances.astype(np.float32))
     assert found.shape == (4, 5)
     assert fb.query(scene, np.empty((0, 3))).instances.shape == (0,)
+    double = fb.signed_distance(scene, points, dtype="float64")
+    assert double.dtype == np.float64
+    assert np.array_equal(double, fb.query(scene, points).distances)
+    with pytest.raises(fb.ArgumentError, match='dtype: must be one of "float32", "float64", got \'bogus\''):
+        fb.signed_distance(scene, points, dtype="bogus")
+
+
+def test_double_distances_of_a_scene_are_those_of_its_mesh(random):
+    gear = fb.models.gear(teeth=6)
+    points = random.uniform(-2, 2, (500, 3))
+
+    found = fb.signed_distance(fb.Scene([gear]), points, dtype="float64")
+
+    # The scene adds a transform to local coordinates and back: a dozen roundings of values up to 2.
+    assert np.abs(found - fb.signed_distance(gear, points, dtype="float64")).max() <= 24 * 2.0**-53 * 2
 
 
 def test_the_report_and_a_copy(scene, random):

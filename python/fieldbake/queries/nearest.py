@@ -317,10 +317,11 @@ def signed_distance(
     >>> signed_distance(tetrahedron, [(0, 0, -2), (0.25, 0.25, 0.125)]).tolist()
     [2.0, -0.125]
     """
-    if not isinstance(mesh, Mesh) and isinstance(mesh, Queryable):
-        return mesh._query(points, sign=sign, device=device, progress=progress).distances.astype(np.float32)
-    method, where = choices(sign, device)
     is_double = checks.choice("dtype", dtype, get_args(DistanceType)) == "float64"
+    if not isinstance(mesh, Mesh) and isinstance(mesh, Queryable):
+        distances = mesh._query(points, sign=sign, device=device, progress=progress).distances
+        return distances if is_double else distances.astype(np.float32)
+    method, where = choices(sign, device)
     if (cloud := as_cloud(mesh)) is not None:
         flat, shape = checks.points(points)
         distances, *_, report = query_cloud(cloud, flat, is_signed(cloud, method, where), progress)
