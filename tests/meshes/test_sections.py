@@ -147,6 +147,43 @@ def test_split_vertices_and_repeated_faces_change_nothing():
         assert abs(section.area - whole.area) <= EXACT
 
 
+@pytest.mark.parametrize("step", [1, 2, 5, 1000])
+@pytest.mark.parametrize("order", [1, -1], ids=["copies_last", "copies_first"])
+def test_copies_of_faces_with_reversed_winding_change_nothing(order, step):
+    vertices, faces = meshes.icosphere()
+    plane = (0, 0, 0.1), (1, 2, 3)
+    whole = fb.Mesh(vertices, faces).section(*plane)
+    # The first copy is of a face that the plane crosses.
+    crossed = whole.plane[:3, :2] @ whole.polygons[0][:2].mean(axis=0) + whole.plane[:3, 3]
+    row = int(fb.closest_point((vertices, faces), crossed).faces)
+    copies = np.roll(faces, -row, axis=0)[: len(faces) // 2 : step, ::-1]
+    # The copies share the vertices of the faces, or have their own at the same places.
+    for extra in (copies, copies + len(vertices)):
+        twice = np.concatenate([faces, extra][::order])
+        section = fb.Mesh(np.concatenate([vertices, vertices]), twice).section(*plane)
+        assert len(section.polygons) == 1
+        assert abs(section.area - whole.area) <= EXACT
+
+
+#: The box that is mirrored in its wall x = 1 has the same triangles there; the moved box has the other diagonal.
+MIRROR = [(-1, 0, 0, 2), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)]
+NEIGHBOURS = {
+    "mirrored": meshes.flip(meshes.move(meshes.box(), MIRROR)),
+    "moved": meshes.box((1, -1, -1), (3, 1, 1)),
+}
+
+
+@pytest.mark.parametrize("name", NEIGHBOURS)
+def test_a_copied_face_of_a_shared_wall_keeps_both_bodies(name):
+    points, rows = meshes.join(meshes.box(), NEIGHBOURS[name])
+    for row in range(len(rows)):
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "parts of the mesh pass")
+            section = fb.Mesh(points, np.concatenate([rows, rows[[row], ::-1]])).section((0, 0, 0.1), "z")
+        assert len(section.open_chains) == 0
+        assert abs(section.area - 8) <= EXACT
+
+
 def test_an_inconsistent_mesh_warns_and_is_divided_by_nesting():
     whole = fb.Mesh(*meshes.hollow_sphere()).section((0, 0, 0.1), (1, 2, 3))
     with pytest.warns(fb.SurfaceWarning, match="winding of the faces is inconsistent"):

@@ -6,6 +6,8 @@ is not repeated at the end.
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,6 +35,36 @@ def successors(start: Rows, end: Rows) -> Rows | None:
     following = np.empty(len(start), np.int64)
     following[by_end] = by_start
     return following
+
+
+def without_copies(start: Rows, end: Rows) -> Rows:
+    """Rows of different segments without those that a reversed copy of a face adds, in order.
+
+    A copy makes the number of segments at two keys odd. On the shortest path of opposite segments between these keys,
+    the segments that end in excess are left out. Opposite segments of two solids have even keys and stay.
+    """
+    rows = {ends: row for row, ends in enumerate(zip(start.tolist(), end.tolist(), strict=True))}
+    before: dict[int, list[int]] = {}
+    for key, following in rows:
+        if (following, key) in rows:
+            before.setdefault(following, []).append(key)
+    excess = Counter(start.tolist())
+    excess.subtract(end.tolist())
+    odd = {key for key, count in excess.items() if count % 2}
+    for first in sorted(odd & before.keys(), key=lambda key: (excess[key], key)):
+        path, queue = {first: first}, [first] if first in odd else []
+        for here in queue:
+            if here in odd and here != first:
+                odd -= {first, here}
+                while here != first:
+                    del rows[here, path[here]]
+                    here = path[here]
+                break
+            for key in before[here]:
+                if key not in path and (here, key) in rows and (key, here) in rows:
+                    path[key] = here
+                    queue.append(key)
+    return np.array(sorted(rows.values()))
 
 
 def cycles(following: Rows) -> list[Rows]:

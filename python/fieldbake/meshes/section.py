@@ -18,7 +18,7 @@ from ..base.errors import ArgumentError
 from ..base.notices import warn_surface
 from ..files.container import atomic_write
 from ..files.svg import svg_path, svg_text
-from .loops import Array, area, chains, cycles, length, nested, simple, successors
+from .loops import Array, area, chains, cycles, length, nested, simple, successors, without_copies
 from .outlines import NOISE, PlaneField, cut_by_box
 
 #: Offset of the first node of a grid from the border, cells. Faces along the border then lie between nodes.
@@ -255,6 +255,8 @@ class MeshCut:
             points.append(self._crossings(faces[rows, low], faces[rows, high], level))
         pairs = np.unique(np.stack(keys), axis=1, return_index=True)[1]  # repeated faces count once
         pairs.sort()
+        if successors(*(key[pairs] for key in keys)) is None:
+            pairs = pairs[without_copies(*(key[pairs] for key in keys))]
         start, end = (key[pairs] for key in keys)
         places = np.concatenate([point[pairs] for point in points])
         flat = np.stack([_products(places - frame[:3, 3], axis) for axis in frame[:3, :2].T], axis=1)
