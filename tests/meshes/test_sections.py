@@ -177,11 +177,28 @@ NEIGHBOURS = {
 def test_a_copied_face_of_a_shared_wall_keeps_both_bodies(name):
     points, rows = meshes.join(meshes.box(), NEIGHBOURS[name])
     for row in range(len(rows)):
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "parts of the mesh pass")
-            section = fb.Mesh(points, np.concatenate([rows, rows[[row], ::-1]])).section((0, 0, 0.1), "z")
+        section = fb.Mesh(points, np.concatenate([rows, rows[[row], ::-1]])).section((0, 0, 0.1), "z")
         assert len(section.open_chains) == 0
         assert abs(section.area - 8) <= EXACT
+
+
+@pytest.mark.parametrize("turn", [np.eye(3), meshes.rotation(1)], ids=["straight", "turned"])
+@pytest.mark.parametrize(
+    ("other", "area"),
+    [
+        (NEIGHBOURS["mirrored"], 8),
+        (NEIGHBOURS["moved"], 8),
+        (meshes.box((1, 0.25, -1), (2, 3, 1)), 6.75),
+        (meshes.box((-0.5, 1, -1), (0.5, 2, 1)), 5),
+    ],
+    ids=["mirrored", "moved", "beside", "above"],
+)
+def test_bodies_that_touch_along_a_wall_do_not_warn(other, area, turn):
+    vertices, faces = meshes.join(meshes.box(), other)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        section = fb.Mesh(vertices @ turn.T, faces).section(turn @ (0, 0, 0.1), turn[:, 2])
+    assert abs(section.area - area) <= EXACT
 
 
 def test_an_inconsistent_mesh_warns_and_is_divided_by_nesting():

@@ -17,6 +17,9 @@ Rows = NDArray[np.int64]
 #: Least number of points of a loop at which the loops around it are counted, if it has fewer edges.
 PROBES = 32
 
+#: Distance at which a point counts as on an edge, relative to the largest coordinate: some roundings of each.
+TOUCH = 16 * 2.0**-53
+
 #: Points that are compared with all edges at once.
 BATCH = 1 << 12
 
@@ -145,32 +148,43 @@ def length(loop: Array) -> float:
     return float(np.hypot(*(loop - np.roll(loop, 1, axis=0)).T).sum())
 
 
-def windings(loops: list[Array], places: Array, owners: Rows) -> Rows:
-    """Sum of the winding numbers of loops around points (n, 2), (n,), without the loop that owns each point."""
+def windings(loops: list[Array], places: Array, owners: Rows) -> tuple[Rows, NDArray[np.bool_]]:
+    """Sum of the winding numbers of loops around points (n, 2), (n,), without the loop that owns each point.
+
+    The second result is True for points on an edge of another loop, where the winding number is not defined.
+    """
     starts, ends = np.concatenate(loops), np.concatenate([np.roll(loop, -1, axis=0) for loop in loops])
     numbers = np.repeat(np.arange(len(loops)), [len(loop) for loop in loops])
-    lower, upper = np.minimum(starts[:, 1], ends[:, 1]), np.maximum(starts[:, 1], ends[:, 1])
-    found = np.zeros(len(places), np.int64)
+    lower, upper = np.minimum(starts, ends), np.maximum(starts, ends)
+    found, touching = np.zeros(len(places), np.int64), np.zeros(len(places), np.bool_)
+    reach = (upper - lower).sum(axis=1)
+    rounding = TOUCH * max(np.abs(starts).max(), np.abs(places).max())
     order = np.argsort(places[:, 1], kind="stable")
     for first in range(0, len(order), BATCH):
         rows = order[first : first + BATCH]
         # An edge is compared with the points between the heights of its ends, which are neighbours in order.
-        begin, end = (np.searchsorted(places[rows, 1], heights) for heights in (lower, upper))
+        heights = places[rows, 1]
+        begin, end = np.searchsorted(heights, lower[:, 1]), np.searchsorted(heights, upper[:, 1], side="right")
         counts = end - begin
         edge = np.repeat(np.arange(len(starts)), counts)
         row = rows[np.arange(len(edge)) + np.repeat(begin - np.cumsum(counts) + counts, counts)]
-        left = cross((ends - starts)[edge], places[row] - starts[edge])
-        ascends = ends[edge, 1] > starts[edge, 1]
-        crossed = np.where(ascends, left > 0, left < 0) & (owners[row] != numbers[edge])
+        place, along, others = places[row], (ends - starts)[edge], owners[row] != numbers[edge]
+        left = cross(along, place - starts[edge])
+        ascends = along[:, 1] > 0
+        crossed = np.where(ascends, left > 0, left < 0) & others & (place[:, 1] < upper[edge, 1])
         np.add.at(found, row, np.where(crossed, np.where(ascends, 1, -1), 0))
-    return found
+        near = np.flatnonzero(others & (np.abs(left) <= rounding * reach[edge]))
+        row, edge = row[near], edge[near]
+        x = places[row, 0]
+        touching[row[(x >= lower[edge, 0] - rounding) & (x <= upper[edge, 0] + rounding)]] = True
+    return found, touching
 
 
 def nested(loops: list[Array], *, oriented: bool) -> tuple[list[Array], bool]:
     """Keep the loops between the inside and the outside, with the material on their left.
 
     A point is inside if the sum of the winding numbers is not 0; if the loops are not `oriented`, if it is odd. The
-    second result is False if loops cross each other; all of them are kept then.
+    second result is False if loops cross or cover each other; all of them are kept then. Loops may touch along edges.
     """
     if not loops:
         return [], True
@@ -182,7 +196,10 @@ def nested(loops: list[Array], *, oriented: bool) -> tuple[list[Array], bool]:
         along = loop[(edges + 1) % len(loop)] - loop[edges]
         probes.append((loop[edges, None] + shares[:, None] * along[:, None]).reshape(-1, 2))
     owners = np.repeat(np.arange(len(loops)), [len(each) for each in probes])
-    around = windings(loops, np.concatenate(probes), owners)
+    around, touching = windings(loops, np.concatenate(probes), owners)
+    owners, around = owners[~touching], around[~touching]
+    if len(np.unique(owners)) < len(loops):
+        return loops, False
     kept, first = [], np.searchsorted(owners, np.arange(len(loops)))
     for loop, outer in zip(loops, around[first].tolist(), strict=True):
         sign = 1 if area(loop) > 0 else -1
