@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache, partial
 from typing import Any
 
@@ -18,9 +19,11 @@ import numpy as np
 
 from .assemblies.assembly import Assembly
 from .assemblies.derivatives import linearize_assembly, linearize_clearance
+from .base import checks
+from .base.errors import ArgumentError, Error, MeshError
 from .base.optional import optional_module
 from .meshes.mesh import Mesh
-from .queries.derivatives import interpolate, linearize, vertex_changes
+from .queries.derivatives import check_shape, interpolate, linearize, vertex_changes
 
 __all__ = ["assembly_clearance", "assembly_distance", "assembly_poses", "sample", "signed_distance"]
 
@@ -40,19 +43,22 @@ def signed_distance(vertices: Any, faces: Any, points: Any, mesh: Mesh | None = 
     points : (..., 3) array of floats
         World positions.
     mesh : Mesh, optional
-        A mesh of the same vertices and faces, whose search tree is used. Without it a tree is built at every call.
+        A mesh of the same vertices and faces, whose search tree is used. Without it a tree is built at every call. Its
+        vertices are compared after rounding to the dtype of `vertices`.
 
     Returns
     -------
     (...) array
-        Signed distances in the dtype of `points`, world units, negative inside.
+        Signed distances in the dtype of `points`, world units, negative inside. They are float32 for bfloat16 points,
+        and in JAX's default type of floats for integers.
 
     Raises
     ------
     Error
         If JAX is not installed.
     MeshError, ArgumentError
-        As for :func:`fieldbake.query`.
+        As for :func:`fieldbake.query`; ArgumentError also for a `mesh` of other vertices or faces. In functions that
+        `jax.jit` or `jax.vmap` trace, errors in values appear in the text of a `jax.errors.JaxRuntimeError`.
 
     Notes
     -----
@@ -70,9 +76,10 @@ def signed_distance(vertices: Any, faces: Any, points: Any, mesh: Mesh | None = 
     >>> jax.grad(lambda p: signed_distance(mesh.vertices, mesh.faces, p))(point).tolist()
     [0.0, 0.0, 1.0]
     """
-    jax = optional_module("jax", "fieldbake.jax", extra="jax")
-    numbers = jax.numpy
-    return _distance_function()(mesh, numbers.asarray(vertices), numbers.asarray(faces), numbers.asarray(points))
+    vertices, rows = _floats("vertices", vertices, "(n, 3)", MeshError), _array("faces", faces, "(m, 3)", MeshError)
+    if rows.dtype.kind not in "iu":
+        raise MeshError(f"faces: must be whole numbers, got dtype {rows.dtype}; convert with faces.astype(int)")
+    return _distance_function()(mesh, vertices, rows, _floats("points", points, "(..., 3)"))
 
 
 def sample(distances: Any, bounds: Any, points: Any) -> Any:
@@ -96,6 +103,8 @@ def sample(distances: Any, bounds: Any, points: Any) -> Any:
     ------
     Error
         If JAX is not installed.
+    ArgumentError
+        For an array of a wrong shape or type.
 
     Examples
     --------
@@ -109,7 +118,8 @@ def sample(distances: Any, bounds: Any, points: Any) -> Any:
     """
     jax = optional_module("jax", "fieldbake.jax", extra="jax")
     numbers = jax.numpy
-    distances, bounds, points = (numbers.asarray(value) for value in (distances, bounds, points))
+    distances, bounds = _floats("distances", distances, "(nx, ny, nz)"), _floats("bounds", bounds, "(2, 3)")
+    points = _floats("points", points, "(..., 3)")
     shape = np.array(distances.shape)
     grid = (points - bounds[0]) / (bounds[1] - bounds[0]) * shape - 0.5
     grid = numbers.clip(grid, 0, shape - 1)
@@ -150,7 +160,7 @@ def assembly_poses(assembly: Assembly, values: Any) -> Any:
     [1.0]
     """
     jax = optional_module("jax", "fieldbake.jax", extra="jax")
-    return assembly._forward(jax.numpy.asarray(values), jax.numpy)
+    return assembly._forward(_floats("values", values, "(..., m)"), jax.numpy)
 
 
 def assembly_distance(assembly: Assembly, poses: Any, points: Any) -> Any:
@@ -191,8 +201,9 @@ def assembly_distance(assembly: Assembly, poses: Any, points: Any) -> Any:
     >>> jax.grad(lambda p: assembly_distance(ball, poses, p))(jax.numpy.array([0.0, 0.0, 3.0])).tolist()
     [0.0, 0.0, 1.0]
     """
-    jax = optional_module("jax", "fieldbake.jax", extra="jax")
-    return _assembly_function()(assembly, jax.numpy.asarray(poses), jax.numpy.asarray(points))
+    return _assembly_function()(
+        assembly, _floats("poses", poses, "(..., n, 4, 4)"), _floats("points", points, "(..., 3)")
+    )
 
 
 def assembly_clearance(assembly: Assembly, poses: Any, pairs: Any = None) -> Any:
@@ -234,8 +245,42 @@ def assembly_clearance(assembly: Assembly, poses: Any, pairs: Any = None) -> Any
     >>> jax.grad(gap)(jax.numpy.array([3.0])).tolist()
     [1.0]
     """
+    return _clearance_function()(
+        assembly, tuple(assembly._chosen_pairs(pairs)), _floats("poses", poses, "(..., n, 4, 4)")
+    )
+
+
+def _array(name: str, value: Any, shape: str, error: type[Error] = ArgumentError) -> Any:
+    """Convert to an array of JAX, and check its shape, which JAX has also while it traces a function."""
+    numbers = optional_module("jax", "fieldbake.jax", extra="jax").numpy
+    try:
+        array = numbers.asarray(value)
+    except (TypeError, ValueError, OverflowError):
+        raise error(f"{name}: must be an array of shape {shape}, got {checks.describe(value)}") from None
+    check_shape(name, array, shape, error)
+    return array
+
+
+def _floats(name: str, value: Any, shape: str, error: type[Error] = ArgumentError) -> Any:
+    """Convert to an array of floats that NumPy has: float32 for bfloat16, and the default type for integers."""
+    numbers = optional_module("jax", "fieldbake.jax", extra="jax").numpy
+    array = _array(name, value, shape, error)
+    is_float = numbers.issubdtype(array.dtype, numbers.floating)
+    if not is_float and not numbers.issubdtype(array.dtype, numbers.integer):
+        raise error(f"{name}: must hold real numbers, got dtype {array.dtype}")
+    return array if array.dtype.kind == "f" else array.astype(numbers.float32 if is_float else float)
+
+
+def _on_host(function: Callable[..., Any], result: tuple[Any, ...], *arrays: Any) -> Any:
+    """Evaluate a function of NumPy arrays: by a callback while JAX traces, otherwise now, so its errors are plain."""
     jax = optional_module("jax", "fieldbake.jax", extra="jax")
-    return _clearance_function()(assembly, tuple(assembly._chosen_pairs(pairs)), jax.numpy.asarray(poses))
+
+    def evaluate(*arrays: Any) -> Any:
+        return function(*map(np.asarray, arrays))
+
+    if any(isinstance(array, jax.core.Tracer) for array in arrays):
+        return jax.pure_callback(evaluate, result, *arrays, vmap_method="sequential")
+    return tuple(map(jax.numpy.asarray, evaluate(*arrays)))
 
 
 @cache
@@ -248,9 +293,9 @@ def _clearance_function() -> Any:
         result = tuple(jax.ShapeDtypeStruct((*shape, *rest), poses.dtype) for rest in ((), (2, 3, 4)))
 
         def on_host(poses: Any) -> Any:
-            return linearize_clearance(assembly, np.asarray(poses), pairs)
+            return linearize_clearance(assembly, poses, pairs)
 
-        return jax.pure_callback(on_host, result, poses, vmap_method="sequential")
+        return _on_host(on_host, result, poses)
 
     @partial(jax.custom_vjp, nondiff_argnums=(0, 1))
     def distance(assembly: Assembly, pairs: RowPairs, poses: Any) -> Any:
@@ -285,7 +330,7 @@ def _assembly_function() -> Any:
         )
 
         def on_host(poses: Any, points: Any) -> Any:
-            found = linearize_assembly(assembly, np.asarray(poses), np.asarray(points))
+            found = linearize_assembly(assembly, poses, points)
             return (
                 found.distances,
                 found.gradients,
@@ -293,7 +338,7 @@ def _assembly_function() -> Any:
                 found.local.astype(poses.dtype),
             )
 
-        return jax.pure_callback(on_host, result, poses, points, vmap_method="sequential")
+        return _on_host(on_host, result, poses, points)
 
     @partial(jax.custom_vjp, nondiff_argnums=(0,))
     def distance(assembly: Assembly, poses: Any, points: Any) -> Any:
@@ -338,10 +383,10 @@ def _distance_function() -> Any:
         )
 
         def on_host(vertices: Any, faces: Any, points: Any) -> Any:
-            found = linearize(np.asarray(vertices), np.asarray(faces), np.asarray(points), mesh)
+            found = linearize(vertices, faces, points, mesh)
             return found.distances, found.gradients, found.corners.astype(np.int32), found.weights
 
-        return jax.pure_callback(on_host, result, vertices, faces, points, vmap_method="sequential")
+        return _on_host(on_host, result, vertices, faces, points)
 
     @partial(jax.custom_vjp, nondiff_argnums=(0,))
     def distance(mesh: Mesh | None, vertices: Any, faces: Any, points: Any) -> Any:

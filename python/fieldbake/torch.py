@@ -17,7 +17,7 @@ from .assemblies.assembly import Assembly
 from .assemblies.derivatives import linearize_assembly, linearize_clearance, pose_changes
 from .base.optional import optional_module
 from .meshes.mesh import Mesh
-from .queries.derivatives import interpolate, linearize, vertex_changes
+from .queries.derivatives import check_shape, interpolate, linearize, vertex_changes
 
 __all__ = ["assembly_clearance", "assembly_distance", "assembly_poses", "sample", "signed_distance"]
 
@@ -34,19 +34,21 @@ def signed_distance(vertices: Any, faces: Any, points: Any, mesh: Mesh | None = 
     points : (..., 3) tensor of floats
         World positions.
     mesh : Mesh, optional
-        A mesh of the same vertices and faces, whose search tree is used. Without it a tree is built at every call.
+        A mesh of the same vertices and faces, whose search tree is used. Without it a tree is built at every call. Its
+        vertices are compared after rounding to the dtype of `vertices`.
 
     Returns
     -------
     (...) tensor
-        Signed distances in the dtype and on the device of `points`, world units, negative inside.
+        Signed distances in the dtype and on the device of `points`, world units, negative inside. They are float64 for
+        integers.
 
     Raises
     ------
     Error
         If PyTorch is not installed.
     MeshError, ArgumentError
-        As for :func:`fieldbake.query`.
+        As for :func:`fieldbake.query`; ArgumentError also for a `mesh` of other vertices or faces.
 
     Notes
     -----
@@ -89,6 +91,8 @@ def sample(distances: Any, bounds: Any, points: Any) -> Any:
     ------
     Error
         If PyTorch is not installed.
+    ArgumentError
+        For an array of a wrong shape.
 
     Examples
     --------
@@ -101,6 +105,9 @@ def sample(distances: Any, bounds: Any, points: Any) -> Any:
     """
     torch = optional_module("torch", "fieldbake.torch", extra="torch")
     distances, bounds, points = (torch.as_tensor(value) for value in (distances, bounds, points))
+    check_shape("distances", distances, "(nx, ny, nz)")
+    check_shape("bounds", bounds, "(2, 3)")
+    check_shape("points", points, "(..., 3)")
     shape = torch.tensor(distances.shape, dtype=points.dtype, device=points.device)
     grid = (points - bounds[0]) / (bounds[1] - bounds[0]) * shape - 0.5
     grid = torch.minimum(torch.clamp(grid, min=0), shape - 1)

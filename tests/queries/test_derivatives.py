@@ -150,6 +150,75 @@ def test_a_mesh_that_does_not_belong_is_refused():
         linearize(vertices, faces[:2], np.full((40, 3), 0.9), fb.Mesh(*meshes.icosphere(3)))
 
 
+def test_a_mesh_of_other_vertices_is_refused():
+    from fieldbake.queries.derivatives import linearize
+
+    mesh = fb.Mesh(*meshes.icosphere(1))
+    points = np.full((1, 3), 2.0)
+    single = mesh.vertices.astype(np.float32)
+    assert linearize(single, mesh.faces, points, mesh).distances == fb.query(mesh, points).distances
+    for vertices, faces in ((2 * mesh.vertices, mesh.faces), (mesh.vertices, mesh.faces[:-1]),
+                            (mesh.vertices[:-1], mesh.faces), (mesh.vertices, mesh.faces[::-1])):  # fmt: skip
+        with pytest.raises(fb.ArgumentError, match="mesh: its 42 vertices and 80 faces differ from vertices of shape"):
+            linearize(vertices, faces, points, mesh)
+
+
+def test_integer_points_have_distances_in_float64():
+    from fieldbake.queries.derivatives import linearize
+
+    found = linearize(*meshes.icosphere(1), np.array([(1, 2, 0)]), None)
+
+    assert found.distances.dtype == found.gradients.dtype == found.weights.dtype == np.float64
+    assert found.distances == fb.query(meshes.icosphere(1), [(1, 2, 0)]).distances
+
+
+def test_jax_converts_integers_and_bfloat16(jax):
+    from fieldbake.jax import assembly_distance, sample, signed_distance
+
+    numbers = jax.numpy
+    geometry = meshes.icosphere(1)
+    exact = fb.query(geometry, [(1, 2, 0)]).distances
+
+    assert signed_distance(*geometry, [(1, 2, 0)]).tolist() == exact.tolist()
+    rounded = signed_distance(*geometry, numbers.array([(1, 2, 0)], numbers.bfloat16))
+    assert (rounded.dtype, rounded.tolist()) == (np.float32, exact.astype(np.float32).tolist())
+    slope = jax.grad(lambda points: signed_distance(*geometry, points))(numbers.array([1, 2, 0], numbers.bfloat16))
+    assert slope.dtype == numbers.bfloat16
+    ball = fb.Assembly({"ball": fb.sphere(1)})
+    # Distances of 2 + rounding of the square root.
+    assert abs(assembly_distance(ball, np.eye(4, dtype=int)[None], [(0, 0, 3)])[0] - 2) <= 1e-15
+    corners = sample(np.arange(8).reshape(2, 2, 2), [(0, 0, 0), (2, 2, 2)], [(1, 1, 1)])
+    assert corners.tolist() == [3.5]
+
+
+@pytest.mark.parametrize("wrap", ["plain", "grad", "jit"])
+def test_jax_raises_the_errors_of_the_package(jax, wrap, capfd):
+    from fieldbake.jax import assembly_distance, sample, signed_distance
+
+    vertices, faces = meshes.box()
+    points = np.zeros((1, 3))
+    wrapped = {"plain": lambda f: f, "grad": jax.grad, "jit": jax.jit}[wrap]
+
+    def refused(function, value, error, text):
+        with pytest.raises(error, match=text):
+            wrapped(lambda value: function(value).sum())(value)
+
+    refused(lambda p: signed_distance(vertices, faces, p), points[:, :2], fb.ArgumentError,
+            r"points: must have shape \(..., 3\), got \(1, 2\)")  # fmt: skip
+    refused(lambda p: signed_distance(vertices, faces * 1.0, p), points, fb.MeshError,
+            "faces: must be whole numbers, got dtype float64")  # fmt: skip
+    refused(lambda p: signed_distance(p, faces, points), vertices[:, 0], fb.MeshError,
+            r"vertices: must have shape \(n, 3\), got \(8,\)")  # fmt: skip
+    refused(lambda b: sample(np.zeros((2, 2, 2)), b, points), np.ones(3), fb.ArgumentError,
+            r"bounds: must have shape \(2, 3\), got \(3,\)")  # fmt: skip
+    refused(lambda p: assembly_distance(fb.Assembly({"ball": fb.sphere(1)}), p, points), np.eye(4), fb.ArgumentError,
+            r"poses: must have shape \(..., n, 4, 4\), got \(4, 4\)")  # fmt: skip
+    if wrap != "jit":
+        refused(lambda p: signed_distance(vertices, faces, p), np.nan * points, fb.ArgumentError, r"points\[0\]: must")
+        refused(lambda p: signed_distance(vertices, faces + 9, p), points, fb.MeshError, "the mesh has 8 vertices")
+    assert "Traceback" not in capfd.readouterr().err
+
+
 def test_derivatives_are_exact_where_faces_were_dropped():
     from fieldbake.queries.derivatives import linearize
 
@@ -161,6 +230,11 @@ def test_derivatives_are_exact_where_faces_were_dropped():
     corners = vertices[found.corners[0]]
     assert (corners[:, 2] == 1).all()
     assert found.weights[0] @ corners == pytest.approx([0.2, 0.3, 1])
+    # A mesh may come with the faces of the input or with its own.
+    mesh = fb.Mesh(vertices, padded)
+    for rows in (padded, mesh.faces):
+        again = linearize(vertices, rows, np.array([(0.2, 0.3, 2.0)]), mesh)
+        assert np.array_equal(again.corners, found.corners)
 
 
 @pytest.mark.slow
