@@ -117,8 +117,8 @@ def sample_edges(
     n : int
         Number of points.
     angle_deg : float, default 30
-        An edge is sharp if the angle between the normals of its two faces exceeds this, degrees from 0 to 180. Edges
-        with one face, or with three and more, are sharp too.
+        An edge is sharp if the angle between the normals of its two faces exceeds this, degrees from 0 to less than
+        180. Edges with one face, or with three and more, are sharp too.
     seed : int, default 0
         From 0 to 2^64 - 1. The same seed gives the same points; a longer sample starts with the points of a shorter
         one.
@@ -136,7 +136,8 @@ def sample_edges(
     MeshError
         If the mesh cannot be read or used, or if no edge is sharp.
     ArgumentError
-        If `n` or `seed` is negative, too large or not a whole number, or `angle_deg` is not from 0 to 180.
+        If `n` or `seed` is negative, too large or not a whole number, or `angle_deg` is not from 0 to less than
+        180.
 
     Examples
     --------
