@@ -41,18 +41,20 @@ def test_wrong_arrays_are_named(error, message, arguments):
     "call",
     [
         lambda cloud: fb.contains(cloud, [(0, 0, 0)]),
-        lambda cloud: fb.winding_number(cloud, [(0, 0, 0)]),
         lambda cloud: fb.signed_distance(cloud, [(0, 0, 0)]),
         lambda cloud: fb.query(cloud, [(0, 0, 0)]),
         lambda cloud: fb.bake(cloud, 8),
         lambda cloud: fb.bake_sparse(cloud, 8),
-        lambda cloud: fb.solid(cloud, 8),
     ],
 )
 @pytest.mark.parametrize("cloud", [fb.PointCloud(NINE), fb.PointCloud(NINE, NINE, areas=0)])
 def test_a_side_needs_normals_and_areas(call, cloud):
     with pytest.raises(fb.MeshError, match=r'so no inside; give \w+, or cloud.oriented\(\), or sign="unsigned"'):
         call(cloud)
+    # These two have no option `sign`.
+    for call in (lambda: fb.winding_number(cloud, [(0, 0, 0)]), lambda: fb.solid(cloud, 8)):
+        with pytest.raises(fb.MeshError, match=r"so no inside; give \w+, or use cloud.oriented\(\)$"):
+            call()
 
 
 @pytest.mark.parametrize(
