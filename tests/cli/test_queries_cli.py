@@ -2,6 +2,7 @@
 
 import io
 import json
+import warnings
 
 import numpy as np
 import pytest
@@ -92,6 +93,25 @@ def test_a_bad_output_fails_before_any_work(model, tmp_path):
     assert run("query", "--no-clobber", model, tmp_path / "p.npy", "-o", tmp_path / "p.npy").exit_code == 1
     (tmp_path / "bad.csv").write_text("x,y\n1,2\n")
     assert run("query", model, tmp_path / "bad.csv", "-o", tmp_path / "a.npy").exit_code == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("empty.xyz", "", "has no points"),
+        ("header.csv", "x,y,z\n", "has no points"),
+        ("commas.xyz", "1,2,3\n", "line 1 must be numbers separated by spaces, got '1,2,3'"),
+        ("words.csv", "x,y,z\n1,2,3\n1,2,c\n", "line 3 must be numbers separated by commas, got '1,2,c'"),
+    ],
+)
+def test_damaged_tables_of_points_are_one_error(model, tmp_path, name, content, message):
+    (tmp_path / name).write_text(content)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = run("query", model, tmp_path / name, "-o", "-")
+    assert result.exit_code == 1
+    assert message in " ".join(result.stderr.split())
+    assert result.stderr.count("error: ") == 1
 
 
 def test_check_knows_what_is_wrong(model, tmp_path):

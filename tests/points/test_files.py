@@ -153,8 +153,13 @@ def test_a_room_of_splats_has_its_air_inside(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("empty.xyz", b"", "has no points|cannot be read as points"),
-        ("words.xyz", b"a b c\n", "cannot be read as points"),
+        ("empty.xyz", b"", "has no points"),
+        ("comments.xyz", b"# x y z\n", "has no points"),
+        ("words.xyz", b"a b c\n", "points: line 1 must be numbers separated by spaces, got 'a b c'"),
+        ("commas.xyz", b"# x\n\n1,2,3\n", "points: line 3 must be numbers separated by spaces, got '1,2,3'"),
+        ("semicolons.xyz", b"1;2;3\n", "points: line 1 must be numbers separated by spaces, got '1;2;3'"),
+        ("ragged.xyz", b"1 2 3\n1 2\n", "points: line 2 has 2 numbers, the lines above have 3"),
+        ("bytes.xyz", b"\xff\xfe\x00", "points: line 1 must be numbers separated by spaces"),
         ("two.xyz", b"1 2\n3 4\n", "must hold rows of three numbers"),
         ("empty.ply", b"", "cannot be read as points"),
         ("cloud.pcd", b"1 2 3", "points are read from .ply, .xyz, .npy, .npz, .las, .laz, got '.pcd'"),

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 import fieldbake as fb
 
 from ..files.container import atomic_write
+from ..points.files import read_table
 from ..queries.common import Sign
 from ..surfaces.report import thinnest_part
 from .application import app, show_rows, show_warning
@@ -85,9 +86,9 @@ def read_points(path: Path) -> NDArray[np.float64]:
         elif kind == ".csv":
             with path.open(encoding="utf-8") as stream:
                 first = stream.readline()
-            array = np.loadtxt(path, delimiter=",", skiprows=0 if _is_numbers(first) else 1, ndmin=2)
+            array = read_table(path, ",", 0 if _is_numbers(first) else 1)
         elif kind == ".xyz":
-            array = np.loadtxt(path, ndmin=2)
+            array = read_table(path)
         elif kind == ".ply":
             import trimesh
 

@@ -170,6 +170,41 @@ def _names(data: Any) -> list[str]:
     return list(data.dtype.names if isinstance(data, np.ndarray) else data)
 
 
+def read_table(file: Path, separator: str | None = None, skipped: int = 0) -> Array:
+    """Read rows of numbers from a text file, after some skipped lines. None separates the numbers by white space.
+
+    A ValueError names the first line that cannot be read. FormatError is raised for a file without numbers.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # NumPy warns of a file without numbers.
+            table = np.loadtxt(file, delimiter=separator, skiprows=skipped, ndmin=2)
+    except ValueError as error:
+        raise ValueError(_fault_of_table(file, separator, skipped) or error) from None
+    if not table.size:
+        raise FormatError(f"{file}: has no points")
+    return table
+
+
+def _fault_of_table(file: Path, separator: str | None, skipped: int) -> str:
+    """Describe the first line of a table that is not numbers, or has another number of them; empty without one."""
+    count = 0
+    with file.open(encoding="utf-8", errors="replace") as stream:
+        for number, line in enumerate(stream, 1):
+            text = line.partition("#")[0].strip()
+            if number <= skipped or not text:
+                continue
+            words = text.split(separator)
+            try:
+                _ = [float(word) for word in words]
+            except ValueError:
+                between = "commas" if separator else "spaces"
+                return f"line {number} must be numbers separated by {between}, got {text[:60]!r}"
+            if len(words) != (count := count or len(words)):
+                return f"line {number} has {len(words)} numbers, the lines above have {count}"
+    return ""
+
+
 def _from_table(table: NDArray[Any]) -> dict[str, Any]:
     if table.ndim != 2 or table.shape[1] < 3:
         raise ValueError(f"must hold rows of three numbers, got an array of shape {table.shape}")
@@ -197,7 +232,7 @@ def _from_las(file: Path) -> dict[str, Any]:
 #: Reader of each ending; it returns the columns.
 READERS: dict[str, Callable[[Path], dict[str, Any]]] = {
     ".ply": _from_ply,
-    ".xyz": lambda file: _from_table(np.loadtxt(file, ndmin=2)),
+    ".xyz": lambda file: _from_table(read_table(file)),
     ".npy": lambda file: _from_table(np.load(file, allow_pickle=False)),
     ".npz": _from_npz,
     ".las": _from_las,
