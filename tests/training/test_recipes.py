@@ -101,6 +101,14 @@ def test_deepsdf_takes_the_numbers_of_the_code_for_tests():
     assert len(fb.training.sample(SHEET, "deepsdf", split="test")["pos"]) == 250_000
 
 
+def test_deepsdf_has_the_rows_of_odd_numbers():
+    # 0.94 n is 47, 48.88, 94 and 0.94, of which the even part lies near the surface.
+    for n in (50, 52, 100, 1):
+        found = fb.training.sample(SHEET, "deepsdf", n=n)
+        assert len(found["pos"]) + len(found["neg"]) == n
+    assert len(fb.training.sample(SHEET, "deepsdf", n=100, variances=(0.1, 0.2, 0.3))["pos"]) == 100
+
+
 def test_deepsdf_divides_by_the_side():
     found = fb.training.sample(meshes.box(), "deepsdf", n=5000)
     assert (found["pos"][:, 3] > 0).all()

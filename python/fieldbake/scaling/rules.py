@@ -122,11 +122,12 @@ def deepsdf_frame(mesh: Mesh) -> tuple[Array, float]:
 def deepsdf(drawing: Drawing, numbers: Numbers) -> Arrays:
     """Points with two offsets for each point of the surface, then points of the cube, divided by the side."""
     n = numbers["n"]
-    near = int(n * numbers["near_share"] + 1e-9)
-    surface = drawing.surface(near // 2).points
+    variances = numbers["variances"]
+    surface = drawing.surface(int(n * numbers["near_share"] + 1e-9) // len(variances)).points
     # The offsets of a surface point are neighbours in the array.
-    offsets = [drawing.near(surface, math.sqrt(variance)) for variance in numbers["variances"]]
-    points = np.concatenate([np.stack(offsets, axis=1).reshape(-1, 3), drawing.cube(n - near, 1.0)])
+    offsets = [drawing.near(surface, math.sqrt(variance)) for variance in variances]
+    near = np.stack(offsets, axis=1).reshape(-1, 3)
+    points = np.concatenate([near, drawing.cube(n - len(near), 1.0)])
     points = points.astype(np.float32)
     (distances,) = drawing.distances(points)
     rows = np.concatenate([points, distances[:, None].astype(np.float32)], axis=1)
