@@ -150,6 +150,8 @@ def test_mistakes_name_the_argument(scene):
     volume = fb.bake(fb.sphere(1), 8)
     with pytest.raises(fb.SceneError, match=r"instances\[1\]: queries of a scene take meshes and shapes, got .*Volume"):
         fb.query(fb.Scene([fb.sphere(1), volume]), [(0, 0, 0)])
+    with pytest.raises(fb.SceneError, match=r"got Quadric\(.*\) \(Quadric\); a quadric is a sheet without an inside"):
+        fb.query(fb.Scene([fb.Quadric.sphere((0, 0, 0), radius=1)]), [(0, 0, 0)])
     with pytest.raises(fb.ArgumentError, match='sign: the sign of a scene is "auto" or "winding", got \'parity\''):
         fb.query(scene, [(0, 0, 0)], sign="parity")
     with pytest.raises(fb.ArgumentError, match="device: queries of a scene run on the CPU"):

@@ -44,9 +44,12 @@ class SceneGeometry:
         for i, instance in enumerate(instances):
             source = _geometry_of(instance)
             if not isinstance(source, (Mesh, Shape)):
+                # A tuple holds the quadrics of an instance.
+                got, advice = source, "pass the to_mesh() of a field"
+                if isinstance(source, tuple):
+                    got, advice = source[0], "a quadric is a sheet without an inside"
                 raise SceneError(
-                    f"instances[{i}]: queries of a scene take meshes and shapes, got {checks.describe(source)}; "
-                    "pass the to_mesh() of a field"
+                    f"instances[{i}]: queries of a scene take meshes and shapes, got {checks.describe(got)}; {advice}"
                 )
             if id(source) not in converted:
                 converted[id(source)] = searchable(source, MESH_RESOLUTION)[0]
