@@ -313,6 +313,26 @@ def test_samples_are_those_of_the_bake_in_the_band_and_bounds_beyond(volume, mes
         volume.sample(points, filter="cubic")
 
 
+@pytest.mark.parametrize("filter", ["linear", "nearest"])
+def test_the_outer_half_voxel_of_a_box_that_cuts_the_solid_is_inside(filter):
+    cube = fb.box(2).to_mesh(16)
+    box = [(-0.5, -2, -2), (2, 2, 2)]
+    store = zarr.storage.MemoryStore()
+    volume = fb.bake_to_zarr(cube, store, (25, 40, 40), bounds=box, encoding="float32")
+    dense = fb.bake(cube, (25, 40, 40), bounds=box)
+    points = np.random.default_rng(6).uniform((-0.5, -1.5, -1.5), (-0.45, 1.5, 1.5), (4000, 3))
+    found, expected = volume.sample(points, filter=filter), dense.sample(points, filter=filter)
+    # A voxel's diagonal from the band, all samples of a cell are in it.
+    close = np.abs(expected) <= volume.band - 0.1 * np.sqrt(3)
+    assert close.sum() > 500
+    # Both interpolate in float64 or better than 1e-6 of distances below 1.
+    assert np.abs(found[close] - expected[close]).max() <= 1e-6
+    assert np.array_equal(found < 0, expected < 0)
+    assert (np.abs(found[~close]) <= np.abs(fb.query(cube, points[~close]).distances) + 0.1).all()
+    on_box = [(-0.5, 0, 0), (-0.475, 0, 0)]
+    assert (volume.sample(on_box, filter=filter) < 0).all()
+
+
 def test_far_samples_use_the_corners_of_shards(tmp_path):
     ball = fb.sphere(1).to_mesh(32)
     volume = fb.bake_to_zarr(ball, tmp_path / "b.zarr", 64, shard=8, chunk=8, bounds=[(-4, -4, -4), (4, 4, 4)])

@@ -36,7 +36,10 @@ class Sampler:
         self.cut = abs(float(self.decode(np.array([reader.fill]))[0])) * (1 - ROUNDING)
 
     def sample(self, points: NDArray[np.float64], filter: str) -> NDArray[np.float64]:
-        """Distances within the band, and lower bounds with the sign beyond it, (n,)."""
+        """Distances within the band, and lower bounds with the sign beyond it, (n,).
+
+        A point in the outer half voxel of the box has the distance at the nearest point of the hull of the centres.
+        """
         places = self._hull(points)
         corners, share = self._cells(places)
         centers = self.lower + (places + 0.5) * self.spacing
@@ -52,10 +55,11 @@ class Sampler:
         needed = far | outside
         squares[needed] = np.maximum(squares[needed], self.far_bound(centers[needed]) ** 2)
         bound = np.sqrt(squares) * (1 - ROUNDING)
+        bound[outside] = self._outside(points[outside], centers[outside], squares[outside])
         values = np.where(far, np.copysign(bound, corners[:, 0, 0, 0]), values)
-        if outside.any():
-            values[outside] = self._outside(points[outside], centers[outside], squares[outside])
-        return values
+        in_box = ((points >= self.lower) & (points <= self.upper)).all(axis=1)
+        found: NDArray[np.float64] = np.where(in_box, values, bound)
+        return found
 
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Slopes of the trilinear field, and beyond the band of the distances at the corners of shards, (n, 3)."""
