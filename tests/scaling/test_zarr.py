@@ -254,6 +254,13 @@ def test_wrong_options_are_errors_before_any_work(mesh, tmp_path, options, messa
     assert not (tmp_path / "k.zarr").exists()
 
 
+def test_a_voxel_size_replaces_the_default_resolution(mesh):
+    volume = fb.bake_to_zarr(mesh, "memory://voxel_size", voxel_size=0.1)
+    assert volume.resolution == fb.bake(mesh, voxel_size=0.1).resolution
+    with pytest.raises(fb.ArgumentError, match=r"voxel_size: give either voxel_size \(0.1\) or resolution \(64\)"):
+        fb.bake_to_zarr(mesh, "memory://voxel_size", 64, voxel_size=0.1)
+
+
 def test_processes_cannot_share_memory_stores(mesh):
     with ProcessPoolExecutor(1) as executor, pytest.raises(fb.ArgumentError, match="executor"):
         bake_knot("memory://unshared", mesh, executor=executor)

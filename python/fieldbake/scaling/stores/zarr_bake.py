@@ -32,6 +32,8 @@ from .zarr_volume import ZarrVolume
 if TYPE_CHECKING:
     from zarr.abc.store import Store
 
+ZARR_RESOLUTION = 4096
+
 #: Progress reaches a callback at most this often, seconds.
 INTERVAL = 0.1
 
@@ -39,7 +41,7 @@ INTERVAL = 0.1
 def bake_to_zarr(
     mesh: MeshLike,
     store: str | os.PathLike[str] | Store,
-    resolution: Resolution = 4096,
+    resolution: Resolution = ZARR_RESOLUTION,
     *,
     voxel_size: float | None = None,
     bounds: ArrayLike | None = None,
@@ -185,7 +187,7 @@ def _checked_layout(
     if side % part:
         raise ArgumentError(f"chunk: must divide shard ({side}), got {part}")
     checks.choice("encoding", encoding, encodings.NAMES)
-    job = prepare(mesh, resolution, voxel_size, bounds, margin, sign, False, None)
+    job = prepare(mesh, resolution, voxel_size, bounds, margin, sign, False, None, default=ZARR_RESOLUTION)
     # The names of the sign methods are checked by the core.
     _core.contains(job.mesh._core, np.empty((0, 3)), sign=job.sign)
     grid = job.grid
