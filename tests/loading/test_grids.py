@@ -90,6 +90,23 @@ def test_band_and_oblong_voxels_of_a_vdb_file(tmp_path):
     assert np.array_equal(vdb_bytes.dense(found, volume.resolution)[0], expected)
 
 
+@pytest.mark.parametrize("radius", [1e-7, 1e-6, 4e-4, 1e-3, 1e5, 3e5, 1e7])
+def test_half_floats_of_a_vdb_file_keep_the_surface_or_are_refused(radius, tmp_path):
+    for field in (fb.bake(fb.sphere(radius), 20), fb.bake_sparse(fb.sphere(radius), 20)):
+        if 1e-3 <= radius <= 1e5:
+            field.save(tmp_path / "v.vdb", encoding="float16")
+            found = fb.load(tmp_path / "v.vdb")
+            expected, band = clipped(field)
+            # Half a step is 2^-11 of a magnitude, which is at most the band, or half a step of the smallest numbers.
+            bound = max(band * 2.0**-11, 2.0**-25)
+            assert np.abs(found.distances - expected).max() <= bound
+            assert bound <= field.spacing[0] / 600
+        else:
+            message = r'^encoding: float16 stores voxels from 6\.1e-05 to 2\.18e\+04 .* use encoding="float32"$'
+            with pytest.raises(fb.ArgumentError, match=message):
+                field.save(tmp_path / "v.vdb", encoding="float16")
+
+
 @pytest.mark.parametrize("encoding", ["float32", "snorm16"])
 @pytest.mark.parametrize("tolerance", [None, 0.05])
 def test_a_sparse_volume_fills_the_leaves_from_its_bricks(encoding, tolerance, tmp_path):

@@ -20,6 +20,9 @@ from .openvdb_reader import VdbGrid
 
 #: Half width of the band of a level set, voxels.
 LEVEL_SET_BAND = 3.0
+#: Smallest voxel of a level set of float16, units of the file: the step of the smallest numbers is 1/1024 of it.
+SMALLEST_HALF_VOXEL = 2.0**-14
+LARGEST_HALF = float(np.finfo(np.float16).max)
 #: Name of the grid in the files.
 GRID_NAME = "surface"
 
@@ -41,10 +44,24 @@ def _level_set(file: FieldFile) -> tuple[BandBlocks, dict[str, Any]]:
 
 def _save_vdb(file: FieldFile) -> None:
     blocks, facts = _level_set(file)
+    is_zipped, is_half = file.options.compression != "none", file.options.encoding == "float16"
+    if is_half:
+        _check_halves(blocks)
     with atomic_write(file.target) as stream:
         strings = {"creator": WRITER, "fieldbake": json.dumps(facts)}
-        is_zipped, is_half = file.options.compression != "none", file.options.encoding == "float16"
         openvdb.write(stream, blocks, strings, name=GRID_NAME, zipped=is_zipped, half=is_half)
+
+
+def _check_halves(blocks: BandBlocks) -> None:
+    """Raise an error if float16 has no number for the band, or its steps are too wide for the smallest voxel."""
+    least, most = float(blocks.spacing.min()), float(blocks.spacing.max())
+    if blocks.band > LARGEST_HALF or least < SMALLEST_HALF_VOXEL:
+        largest = most * LARGEST_HALF / blocks.band
+        raise ArgumentError(
+            f"encoding: float16 stores voxels from {SMALLEST_HALF_VOXEL:.2g} to {largest:.3g} in units of the file, "
+            f"for a band of {blocks.band / most:.3g} voxels, got {least if least < SMALLEST_HALF_VOXEL else most:.3g}; "
+            'use encoding="float32"'
+        )
 
 
 def _save_nvdb(file: FieldFile) -> None:
