@@ -59,6 +59,7 @@ def saved_until(one, path, step, monkeypatch):
     return True
 
 
+@pytest.mark.filterwarnings(r"ignore:v\.vf. \.vf files state no place")
 @pytest.mark.parametrize("earlier", ["checksum", "no checksum", "no json", "killed"])
 @pytest.mark.parametrize("name", NAMES)
 def test_an_ended_save_leaves_the_old_field_or_the_new_one(name, earlier, tmp_path, monkeypatch):
@@ -194,7 +195,8 @@ def test_names_leave_room_for_the_files_beside_them(tmp_path):
     # A grid of another program has no JSON.
     volume.save(tmp_path / "v.vf")
     foreign = (tmp_path / "v.vf").rename(tmp_path / ("n" * 252 + ".vf"))
-    assert np.array_equal(fb.load(foreign).distances, volume.distances)
+    with pytest.warns(UserWarning, match="is missing"):
+        assert np.array_equal(fb.load(foreign).distances, volume.distances)
 
 
 SEVERAL_PROCESSES = """

@@ -486,7 +486,11 @@ def test_a_vf_file_has_the_samples_after_ten_bytes(solid, tmp_path):
     assert struct.unpack_from("<4s3H", content) == (b"VF_F", *solid.resolution)
     assert np.array_equal(np.frombuffer(content, "<f4", offset=10), solid.distances.ravel(order="F"))
     (tmp_path / "v.vf.json").unlink()
-    found = fb.Volume.load(tmp_path / "v.vf")
+    message = r"^v\.vf: .* v\.vf\.json is missing or has none; the longest side of the box is 1, "
+    with pytest.warns(UserWarning, match=message) as caught:
+        found = fb.Volume.load(tmp_path / "v.vf")
+    assert len(caught) == 1
+    assert caught[0].filename == __file__
     assert np.array_equal(found.distances, solid.distances)
     assert np.allclose(found.bounds.mean(axis=0), 0)
     assert (found.bounds[1] - found.bounds[0]).max() == pytest.approx(1)

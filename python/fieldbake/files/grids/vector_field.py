@@ -7,6 +7,8 @@ offset  type      contents
 4       3 uint16  samples along x, y and z
 10      float32   the samples, x fastest
 ======  ========  ====================================
+
+A file has no box. fieldbake stores it in the JSON beside the file.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.errors import ArgumentError, FormatError
+from ...base.notices import warn
 from .. import sidecar
 from ..cursor import Cursor
 from ..formats import FieldFile, Format
@@ -60,6 +63,13 @@ def _save(file: FieldFile) -> None:
 def _load(path: Path) -> GridSamples:
     data, facts = sidecar.read(path)
     samples = read(data)
+    if facts is None:
+        warn(
+            f"{path.name}: .vf files state no place and no size, and {sidecar.beside(path).name} is missing or has "
+            "none; the longest side of the box is 1, about the origin. Copy the JSON of a file that fieldbake saved, "
+            "or pass the box: fieldbake.Volume(volume.distances, bounds)",
+            UserWarning,
+        )
     # Unity's own fields have a longest side of 1, about the origin.
     spacing = np.full(3, 1 / max(samples.shape))
     return GridSamples(samples, (1 - np.array(samples.shape)) * spacing / 2, spacing, facts)
