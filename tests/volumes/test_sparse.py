@@ -118,6 +118,23 @@ def test_coarser_bricks_keep_the_tolerance(tolerance: float, encoding: str) -> N
     assert coarse.nbytes <= fine.nbytes
 
 
+@pytest.mark.parametrize("encoding", ["snorm16", "snorm8"])
+def test_quantised_coarse_bricks_keep_the_tolerance_within_half_the_band(encoding: str) -> None:
+    dense = fb.bake(meshes.icosphere(5), 96, device="cpu")
+    sparse = dense.to_sparse(tolerance=0.05, encoding=encoding)
+    voxel, truth = dense.spacing[0], dense.distances
+    errors = (np.abs(truth) - np.abs(sparse.distances)) / voxel
+    # The codes are rounded toward zero, by up to a step.
+    step = 4 / {"snorm16": 32767, "snorm8": 127}[encoding]
+    half = np.abs(truth) < 2 * voxel
+    assert np.abs(errors[half]).max() <= 0.05 + step + ROUNDING_VOXELS
+    # Farther away a sample may be a lower bound, but never exceeds the distance by more.
+    band = np.abs(truth) < 4 * voxel
+    assert errors[band].max() > 0.1
+    assert errors[band].min() >= -0.05 - ROUNDING_VOXELS
+    assert (sparse.distances * truth)[~half].min() > 0
+
+
 @pytest.mark.parametrize("geometry", [meshes.knot(), meshes.hollow_sphere(), meshes.open_box(), meshes.soup(40)])
 def test_elsewhere_it_is_a_bound_with_the_right_sign(geometry: meshes.Geometry) -> None:
     mesh = fb.Mesh(*geometry)

@@ -55,7 +55,8 @@ def bake_sparse(
         A brick is stored if one of its samples is at most this far from the surface, voxels; at least 2.
     tolerance : float or None, default 0.05
         Largest difference, in voxels, by which a coarser brick may differ from the samples in the band that it
-        replaces. None never uses coarser bricks, so every stored sample equals the sample of :func:`bake`.
+        replaces. None never uses coarser bricks, so every stored sample equals the sample of :func:`bake`. With
+        ``"snorm16"`` and ``"snorm8"`` it holds within half the band; beyond it a brick may have lower bounds.
     encoding : str, default "float32"
         ``"float32"``, ``"float16"``, ``"snorm16"`` or ``"snorm8"``, rounded toward zero. The largest integer represents
         the band.

@@ -244,8 +244,9 @@ class Volume(StoredSamples, Loadable, Shaded):
         Parameters
         ----------
         tolerance : float or None, default 0.05
-            Largest difference, in voxels, by which a coarser brick may differ from the samples that it replaces. None
-            never uses coarser bricks, so every stored sample equals the sample of the volume.
+            Largest difference, in voxels, by which a coarser brick may differ from the samples in the band that it
+            replaces. None never uses coarser bricks, so every stored sample equals the sample of the volume. With
+            ``"snorm16"`` and ``"snorm8"`` it holds within half the band; beyond it a brick may have lower bounds.
         band : float, default 4
             Distance from the surface within which a sample makes its brick stored, voxels; at least 2.
         encoding : str, default "float32"
