@@ -339,6 +339,34 @@ def test_a_nrrd_file_of_another_program_is_read(kind, tmp_path):
     assert np.array_equal(found.spacing, [1, 2, 0.5])
 
 
+NRRD_HEAD = "NRRD0005\ntype: float\ndimension: 3\nsizes: 2 2 2\nendian: little\nencoding: raw\n"
+
+
+@pytest.mark.parametrize("kind", ["float <f4", "longlong <i8", "uint64 <u8"])
+@pytest.mark.parametrize("line", ["\n", "\r\n"])
+def test_lines_of_windows_and_64_bit_integers_in_a_nrrd_file(line, kind, tmp_path):
+    name, dtype = kind.split()
+    # The first bytes of the samples are ends of lines too.
+    samples = np.array([0x0A0A0D, 1, 2, 3, 4, 5, 6, 7], dtype).reshape(2, 2, 2)
+    head = (NRRD_HEAD.replace("float", name) + "\n").replace("\n", line).encode()
+    (tmp_path / "v.nrrd").write_bytes(head + samples.tobytes())
+    assert np.array_equal(fb.load(tmp_path / "v.nrrd").distances, samples.T.astype(np.float32))
+
+
+@pytest.mark.parametrize("end", ["", "\n", "\n\n"])
+@pytest.mark.parametrize(
+    ("head", "message"),
+    [
+        (NRRD_HEAD + "data file: d.raw", "must be in the file itself"),
+        (NRRD_HEAD.replace("float", "block").rstrip(), "got the type 'block' and the dimension '3'"),
+    ],
+)
+def test_other_samples_of_a_nrrd_file_are_errors_that_name_them(head, message, end, tmp_path):
+    (tmp_path / "v.nrrd").write_text(head + end)
+    with pytest.raises(fb.FormatError, match=message):
+        fb.load(tmp_path / "v.nrrd")
+
+
 @pytest.mark.parametrize(
     "directions",
     [

@@ -45,7 +45,17 @@ _TYPES = {
     "unsigned int": "u4",
     "uint32": "u4",
     "uint32_t": "u4",
+    "longlong": "i8",
+    "long long": "i8",
+    "int64": "i8",
+    "int64_t": "i8",
+    "ulonglong": "u8",
+    "unsigned long long": "u8",
+    "uint64": "u8",
+    "uint64_t": "u8",
 }
+#: The end of the header: an empty line, after lines that end as on Unix or as on Windows.
+_END = re.compile(rb"\r?\n\r?\n")
 _VECTOR = re.compile(r"\(([^()]*)\)")
 #: Level of compression. Higher levels make fields only a little smaller.
 _LEVEL = 3
@@ -85,14 +95,14 @@ _ALIASES = {"axismins": "axis mins", "axismaxs": "axis maxs", "centers": "center
 
 def read(data: bytes) -> GridSamples:
     """Read the grid of a file."""
-    head, _, content = data[:MAX_HEADER_BYTES].partition(b"\n\n")
-    content = data[len(head) + 2 :]
+    end = _END.search(data, 0, MAX_HEADER_BYTES)
+    head, content = (data[:MAX_HEADER_BYTES], b"") if end is None else (data[: end.start()], data[end.end() :])
     lines = head.decode("utf-8", "replace").replace("\r", "").split("\n")
     if not lines[0].startswith("NRRD"):
         raise FormatError("is not a .nrrd file")
     header, pairs = {}, {}
     for line in lines[1:]:
-        if line.startswith("#"):
+        if not line or line.startswith("#"):
             continue
         name, colon, value = line.partition(":")
         if not colon:
@@ -102,11 +112,14 @@ def read(data: bytes) -> GridSamples:
         else:
             header[_ALIASES.get(name.strip().lower(), name.strip().lower())] = value.strip()
     sizes = _whole_numbers(header, "sizes")
+    if "data file" in header or "datafile" in header or any(header.get(f"{skip} skip") for skip in ("line", "byte")):
+        raise FormatError("the samples must be in the file itself, right after its header, not in a data file")
     kind = _TYPES.get(header.get("type", "").lower())
     if kind is None or header.get("dimension") != "3":
-        raise FormatError("the samples must be numbers in three dimensions")
-    if "data file" in header or "datafile" in header or any(header.get(f"{skip} skip") for skip in ("line", "byte")):
-        raise FormatError("the samples must be in the file itself")
+        raise FormatError(
+            f"the samples must be numbers in three dimensions, got the type {header.get('type', '')[:40]!r} and the "
+            f"dimension {header.get('dimension', '')[:40]!r}"
+        )
     order = ">" if header.get("endian") == "big" else "<"
     dtype = np.dtype(order + kind)
     size = checked_count(sizes) * dtype.itemsize
