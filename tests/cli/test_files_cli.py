@@ -57,6 +57,19 @@ def test_convert_goes_through_all_formats_and_back(folder, tmp_path):
     assert np.array_equal(found.distances, np.clip(exact.distances, -band, band))
 
 
+@pytest.mark.parametrize("command", ["info", "render", "mesh", "convert", "view", "pack", "slice"])
+def test_an_error_about_a_zarr_store_names_its_reader(command, tmp_path):
+    store = tmp_path / "g.zarr"
+    store.mkdir()
+    (store / "zarr.json").write_text("{}")
+    outputs = {"render": "-o a.png", "mesh": "-o a.stl", "convert": "a.npz", "pack": "-o a.npz", "slice": "-o a.zip"}
+    options = {"slice": ["--layer", "0.1", "--pixel", "0.1"]}.get(command, [])
+    words = [word if word == "-o" else str(tmp_path / word) for word in outputs.get(command, "").split()]
+    result = fieldbake(command, store, *words, *options)
+    assert result.exit_code != DONE
+    assert "fieldbake.open_zarr opens this Zarr store in Python" in " ".join(result.stderr.split())
+
+
 def test_convert_writes_meshes(folder, tmp_path):
     for source, target in (("v.npz", "a.stl"), ("body.obj", "b.glb"), ("v.npz", "c.ply")):
         result = fieldbake("convert", folder / source, tmp_path / target)

@@ -291,7 +291,9 @@ def _read_file(path: str | os.PathLike[str], take: Callable[[Any, Document | Non
     """
     file = checks.path(path, "mesh", MeshError)
     if file.is_dir():
-        raise MeshError(f"{path}: is a directory, not a mesh file")
+        is_store = (file / "zarr.json").exists()
+        remedy = "; fieldbake.open_zarr opens this Zarr store in Python" if is_store else ""
+        raise MeshError(f"{path}: is a directory, not a mesh file{remedy}")
     checks.finite_file(file, MeshError)
     # Opening the file here keeps FileNotFoundError and PermissionError unchanged.
     ending = file.suffix.lower()
