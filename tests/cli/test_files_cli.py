@@ -75,6 +75,8 @@ def test_convert_writes_meshes(folder, tmp_path):
         result = fieldbake("convert", folder / source, tmp_path / target)
         assert result.exit_code == DONE, result.stderr
         assert fb.load_mesh(tmp_path / target).volume == pytest.approx(1, rel=0.03)
+        assert "faces" in result.stdout
+        assert "voxels" not in result.stdout
 
 
 def test_engines_and_bounds(folder, tmp_path):

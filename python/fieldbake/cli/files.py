@@ -98,7 +98,8 @@ def convert(
         elif ending in MESHES:
             if not isinstance(found, (fb.Volume, fb.SparseVolume)):
                 raise fb.FormatError(f"{file}: holds a {type(found).__name__}, which has no single surface")
-            found.to_mesh().save(target)
+            found = found.to_mesh()
+            found.save(target)
         elif isinstance(found, (fb.Volume, fb.SparseVolume)):
             found = save_field(found, target, encoding, band, engine, mipmaps=mipmaps)
         else:
