@@ -142,6 +142,8 @@ def test_the_shadow_of_a_frame_has_neither_falloff_nor_cone(device):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
+        (lambda: fb.DirectionalLight((0, -1, 0), angle_deg=400), "angle_deg: must be at most 180 degrees, got 400"),
+        (lambda: fb.DirectionalLight((0, -1, 0), angle_deg=math.nan), "angle_deg"),
         (lambda: fb.PointLight((0, 0, 0), range=0), "range"),
         (lambda: fb.PointLight((0, 0, 0), range=-1), "range"),
         (lambda: fb.PointLight((0, 0, 0), range=math.nan), "range"),

@@ -96,7 +96,7 @@ class DirectionalLight:
     intensity : float, default 1
         Factor of the colour.
     angle_deg : float, default 0
-        Angular diameter of the light, degrees. Hard shadows ignore it.
+        Angular diameter of the light, degrees, at most 180. Hard shadows ignore it.
 
     Examples
     --------
@@ -115,7 +115,7 @@ class DirectionalLight:
         object.__setattr__(self, "direction", _direction(self.direction))
         object.__setattr__(self, "color", _color(self.color))
         object.__setattr__(self, "intensity", _least("intensity", self.intensity))
-        object.__setattr__(self, "angle_deg", _least("angle_deg", self.angle_deg))
+        object.__setattr__(self, "angle_deg", _angle("angle_deg", self.angle_deg, 180))
 
 
 @dataclass(frozen=True)
