@@ -387,3 +387,15 @@ def test_unknown_devices_are_refused(noise, device):
     for function in (noise.sample, noise.gradient):
         with pytest.raises(fb.Error, match=r"device|abacus"):
             function((0, 0, 0), device=device)
+
+
+def test_masked_samples_and_points_are_refused():
+    samples = np.ma.masked_array(np.ones((2, 2, 2)), mask=np.arange(8).reshape(2, 2, 2) < 3)
+    with pytest.raises(fb.ArgumentError, match=r"^distances: must have no masked entries, got 3; fill them first"):
+        fb.Volume(samples, [(0, 0, 0), (1, 1, 1)])
+    volume = fb.Volume(samples.filled(2.0), [(0, 0, 0), (1, 1, 1)])
+    assert np.array_equal(volume.distances, samples.filled(2.0))
+    with pytest.raises(fb.ArgumentError, match=r"^points: must have no masked entries, got 1"):
+        volume.sample(np.ma.masked_array(np.zeros((1, 3)), mask=[[True, False, False]]))
+    # An array without masked entries is an array.
+    assert fb.Volume(np.ma.masked_array(np.ones((2, 2, 2))), volume.bounds).resolution == (2, 2, 2)

@@ -92,6 +92,9 @@ def real_array(name: str, value: object, shape: str, error: type[Error] = Argume
         raise error(f"{name}: must be an array of shape {shape}, got {describe(value)} ({reason})") from None
     if array.dtype.kind not in "fiu":
         raise error(f"{name}: must hold real numbers in shape {shape}, got {describe(array)}")
+    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+        count = int(np.ma.getmaskarray(value).sum())
+        raise error(f"{name}: must have no masked entries, got {count}; fill them first, as value.filled(x) does")
     return array
 
 
