@@ -58,7 +58,8 @@ class MergedField(HasVolume, Viewable):
     """The field of a scene, made by :func:`merge`: its volume, and the instances that it was merged from.
 
     It has the attributes and methods of a :class:`Volume` except `quantize`, `from_xarray` and `load`, and functions of
-    volumes accept it too. A saved field is loaded as a Volume.
+    volumes accept it too. A saved field is loaded as a Volume, and a copied or pickled one is a Volume, without
+    the instances that `update` needs.
 
     Attributes
     ----------
