@@ -538,7 +538,7 @@ mod tests {
         for (eye, fov_deg) in eyes {
             let camera = camera(eye, fov_deg);
             for offset in [[0.5, 0.5], [0.25, 0.75]] {
-                let drawn = draw(&scene, &camera, &options, offset, &Progress::new()).unwrap();
+                let drawn = draw(&scene, &camera, &options, offset, None, &Progress::new()).unwrap();
                 let view = View { camera, size: options.size, offset };
                 let mut count = 0;
                 for y in 0..options.size[1] {
