@@ -273,6 +273,23 @@ def test_a_smooth_union_adds_a_fillet():
     assert fb.contains(smooth, corner)[0] == fb.contains(sharp, corner)[0]
 
 
+@pytest.mark.parametrize(
+    ("op", "lower", "upper"),
+    [
+        ("union", (1, 0, 0), (2, 1, 1)),
+        ("union", (1, 0.2, 0.2), (2, 0.8, 0.8)),
+        ("difference", (0, 0, 0), (0.5, 1, 1)),
+        ("difference", (0, 0.2, 0.2), (0.5, 0.8, 0.8)),
+        ("difference", (-0.2, 0, 0), (0.5, 1, 1)),
+    ],
+)
+def test_common_faces_of_the_operands_are_no_source(op, lower, upper):
+    first, second = (trimesh.creation.box(bounds=box) for box in (((0, 0, 0), (1, 1, 1)), (lower, upper)))
+    made = fb.boolean(op, first, second, resolution=32)
+    # A source point counts up to 2e-3 voxels along each axis from a change of sign, and its place has 1e-3 voxels.
+    assert made.report.distance_from_source <= 5e-3 * made.report.voxel_size
+
+
 # --- results and mistakes
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .. import _core
 from ..base.grid import Grid
 from ..meshes.mesh import Mesh
-from .fields import Field, projected
+from .fields import CORNERS, Field, projected
 
 Array = NDArray[np.float64]
 
@@ -29,6 +29,9 @@ MOST_EDGE = 2.0
 #: Steps of Newton's method onto a level set, and the largest error after them, voxels.
 STEPS = 3
 ON_SURFACE = 1e-3
+
+#: Distance from a point of the level set at which the field must have both signs, voxels.
+ACROSS = 2 * ON_SURFACE
 
 
 def to_ideal(mesh: Mesh, field: Field, grid: Grid) -> float:
@@ -96,18 +99,23 @@ def from_ideal(mesh: Mesh, field: Field, grid: Grid) -> float:
     def measure(points: Array) -> tuple[Array, Array]:
         """Move points onto the level set; return them and their distances from the mesh, -1 where that fails."""
         for _ in range(STEPS):
-            points = projected(field, points)[0]
+            points, normals = projected(field, points)
             points[~np.isfinite(points).all(axis=1)] = mesh.vertices[0]
         found = _core.closest_point(mesh._core, np.ascontiguousarray(points))[1]
-        return points, np.where(np.abs(field.values(points)) <= ON_SURFACE * voxel, found, -1.0)
+        is_surface = np.abs(field.values(points)) <= ON_SURFACE * voxel
+        return points, np.where(is_surface & ~_is_inner(field, points, normals, voxel), found, -1.0)
 
     tops, scores = [np.empty((0, 3))], [np.empty(0)]
     for centers in _near(field, grid):
         # One step of Newton's method is exact where the field is a distance. The few farthest points are measured.
-        moved = projected(field, centers)[0]
+        moved, normals = projected(field, centers)
         moved[~np.isfinite(moved).all(axis=1)] = mesh.vertices[0]
-        near = _core.closest_point(mesh._core, np.ascontiguousarray(moved))[1]
-        points, found = measure(moved[_largest(near, 8 * PLACES)])
+        order = _largest(_core.closest_point(mesh._core, np.ascontiguousarray(moved))[1], len(moved))
+        rows = order[:0]
+        while len(order) and len(rows) < 8 * PLACES:
+            first, order = order[: 8 * PLACES], order[8 * PLACES :]
+            rows = np.concatenate([rows, first[~_is_inner(field, moved[first], normals[first], voxel)]])
+        points, found = measure(moved[rows])
         kept = _largest(found)
         tops.append(points[kept])
         scores.append(found[kept])
@@ -127,6 +135,26 @@ def from_ideal(mesh: Mesh, field: Field, grid: Grid) -> float:
         found = np.where(better, scores_near[rows, farthest], found)
         size = np.where(better, size, size / 2)
     return max(float(found.max(initial=0.0)), 0.0)
+
+
+def _is_inner(field: Field, points: Array, normals: Array, voxel: float) -> NDArray[np.bool_]:
+    """Whether the field is 0 at points (n, 3) and has one sign around them, (n,).
+
+    Such points lie on faces of operands that are no surface of the combination, as the common face of two touching
+    boxes in their union.
+    """
+
+    def has_one_sign(points: Array, offsets: Array) -> NDArray[np.bool_]:
+        around = points[:, None] + ACROSS * voxel * offsets
+        around = field.values(around.reshape(-1, 3)).reshape(around.shape[:2])
+        found: NDArray[np.bool_] = (around.min(axis=1) >= 0) | (around.max(axis=1) <= 0)
+        return found
+
+    inner = has_one_sign(points, np.stack([normals, -normals], axis=1))
+    # Both ends of the normal of an operand may lie outside at an edge between two operands.
+    inner[inner] = has_one_sign(points[inner], CORNERS)
+    inner[inner] = np.abs(field.values(points[inner])) <= ON_SURFACE * voxel
+    return inner
 
 
 def _near(field: Field, grid: Grid) -> list[Array]:
