@@ -53,6 +53,10 @@ def test_the_data_of_a_path_is_no_name(data):
         '<rect x="5" width="2" height="2" style="fill: transparent"/>',
         '<g fill="rgba(1, 2, 3, 0)"><rect x="5" width="2" height="2"/></g>',
         '<rect x="5" width="2" height="2" fill-opacity="0"/>',
+        '<rect x="5" width="2" height="2" opacity="0"/>',
+        '<rect x="5" width="2" height="2" style="opacity: 0%"/>',
+        '<g opacity="0.0"><g opacity="1"><rect x="5" width="2" height="2" opacity="1"/></g></g>',
+        '<style>.a { opacity: 0 }</style><g class="a"><rect x="5" width="2" height="2"/></g>',
     ],
 )
 def test_what_a_picture_does_not_show_is_not_filled(read, content):
@@ -122,6 +126,79 @@ def test_a_size_that_is_relative_to_fonts_or_zero_is_an_error(read):
         read('width="0" height="1" viewBox="0 0 1 1"', '<rect width="1" height="1"/>')
     with pytest.raises(fb.ShapeError, match="no filled outline"):
         read('viewBox="0 0 0 1"', '<rect width="1" height="1"/>')
+
+
+@pytest.mark.parametrize(
+    ("size", "scale"),
+    [
+        ('width="200" height="100"', 96 / 25.4),
+        ('viewBox="0 0 200 100"', 96 / 25.4),
+        ('width="100mm" height="50mm" viewBox="0 0 200 100"', 48 / 25.4),
+        ('width="100mm" height="50mm"', 1),
+        ('style="width: 10cm"', 1),
+    ],
+)
+@pytest.mark.parametrize(
+    "content",
+    [
+        '<rect x="1mm" y="0" width=".2cm" height="1mm"/>',
+        '<rect style="x: 1mm; width: 2mm; height: 1mm"/>',
+        "<style>rect { x: 1mm; width: 2mm; height: 1mm }</style><rect/>",
+        f'<rect x="{96 / 25.4}" width="{192 / 25.4}" height="{96 / 25.4}px"/>',
+    ],
+)
+def test_a_millimetre_inside_a_picture_has_96_25th_user_units(read, size, scale, content):
+    # Each number has a relative rounding error of some 1e-16.
+    assert np.abs(read(size, content).bounds - scale * np.array([(1, -1), (3, 0)])).max() <= 1e-12
+
+
+@pytest.mark.parametrize(
+    ("frame", "lower", "upper"),
+    [
+        ('x="10" y="10" width="20" height="20" viewBox="0 0 10 10"', (10, -30), (30, -10)),
+        ('x="10" y="10" width="20" height="20" viewBox="5 5 10 10"', (0, -20), (20, 0)),
+        ('x="10" y="10" width="20" height="20"', (10, -20), (20, -10)),
+        ('x="10" width="20" height="40" viewBox="0 0 10 10"', (10, -30), (30, -10)),
+        ('width="20" height="40" viewBox="0 0 10 10" preserveAspectRatio="xMinYMax"', (0, -40), (20, -20)),
+        ('width="20" height="40" viewBox="0 0 10 10" preserveAspectRatio="none"', (0, -40), (20, 0)),
+        ('x="10%" y="10%" width="50%" viewBox="0 0 10 10"', (20, -110), (120, -10)),
+        ('transform="translate(1)" viewBox="0 0 10 5"', (1, -200), (201, 0)),
+    ],
+)
+def test_a_nested_picture_and_a_used_symbol_fill_their_viewport(read, frame, lower, upper):
+    size = 'width="200mm" height="100mm" viewBox="0 0 200 100"'
+    rectangle = '<rect width="10" height="10"/>'
+    nested = read(size, f"<svg {frame}>{rectangle}</svg>")
+    assert nested.bounds == pytest.approx(np.array([lower, upper]), abs=1e-12)
+    words = frame.split("viewBox")
+    if len(words) == 2:
+        symbol = f'<symbol id="s" viewBox{words[1]}>{rectangle}</symbol><use href="#s" {words[0]}/>'
+        assert read(size, symbol).bounds == pytest.approx(np.array([lower, upper]), abs=1e-12)
+
+
+def test_percentages_inside_a_nested_picture_refer_to_it(read):
+    content = '<svg x="5" width="50" height="20"><rect x="10%" width="50%" height="100%"/></svg>'
+    assert read('width="200" height="100"', content).bounds.tolist() == [[10, -20], [35, 0]]
+
+
+def test_a_symbol_that_uses_itself_is_drawn_once(read):
+    symbol = '<symbol id="s"><rect width="2" height="2"/><use href="#s" x="5"/></symbol><use href="#s"/>'
+    assert read("", symbol).area == pytest.approx(4, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["clip-path", "mask"])
+def test_clip_paths_and_masks_are_ignored_with_a_warning(read, name):
+    clip = '<clipPath id="c"><rect width="1" height="1"/></clipPath><mask id="c"/>'
+    with pytest.warns(fb.SurfaceWarning, match="clip-path or mask of 1 element is ignored"):
+        profile = read("", f'{clip}<g {name}="url(#c)"><rect width="3" height="1"/></g><g {name}="none"/>')
+    assert profile.area == pytest.approx(3, rel=1e-12)
+
+
+def test_another_document_is_an_error(tmp_path):
+    file = tmp_path / "page.svg"
+    file.write_text("<html/>")
+    with pytest.raises(fb.ShapeError, match="its outermost element is <html>, not <svg>"):
+        fb.Profile.from_svg(file)
 
 
 @pytest.mark.parametrize("center", [(0, 0, 0), (30, -20, 0), (-1e4, 0.125, 0)])

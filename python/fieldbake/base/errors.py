@@ -102,7 +102,8 @@ class FormatError(Error, ValueError):
 class SurfaceWarning(UserWarning):
     """A surface whose inside is ambiguous, or a solid with faces that pass through each other or a wall below a voxel.
 
-    The inside is ambiguous if the surface is open, inside out, or has flipped or one-sided parts.
+    The inside is ambiguous if the surface is open, inside out, or has flipped or one-sided parts. The outlines of a
+    picture with clip paths or masks, which are ignored, have this warning too.
 
     Examples
     --------

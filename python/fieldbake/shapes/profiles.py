@@ -86,10 +86,18 @@ class Profile:
         -------
         Profile
             The union of all filled elements. Strokes, text, and elements that are fully transparent are ignored, and so
-            are the contents of symbols, masks and markers; ``<use>`` draws a symbol. One world unit is a millimetre of
-            a picture with a physical size, as :meth:`Section.to_svg` writes it, else a pixel. The origin is the origin
-            of the user space of the outermost ``<svg>``, wherever its ``viewBox`` begins, and y points upwards. Thus
-            the polygons of :meth:`Section.to_svg` keep their coordinates.
+            are the contents of symbols, masks and markers; ``<use>`` draws a symbol. Nested pictures and symbols are
+            not cut at their viewports. One world unit is a millimetre of a picture with a physical size, as
+            :meth:`Section.to_svg` writes it, else a pixel. Inside a picture, a millimetre is 96 / 25.4 user units, and
+            a user unit without a ``viewBox`` is a pixel of 25.4 / 96 millimetres. In a picture without any size, a
+            pixel and a millimetre are each one world unit. The origin is the origin of the user space of the outermost
+            ``<svg>``, wherever its ``viewBox`` begins, and y points upwards. Thus the polygons of
+            :meth:`Section.to_svg` keep their coordinates.
+
+        Warns
+        -----
+        SurfaceWarning
+            If an element has a clip path or a mask, which is ignored.
 
         Raises
         ------

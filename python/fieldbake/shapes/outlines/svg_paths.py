@@ -12,7 +12,9 @@ import numpy as np
 
 from ...base import checks
 from ...base.errors import ShapeError
+from ...base.notices import warn_surface
 from ...base.optional import optional_module
+from ...base.report import count_text
 from .curves import TOLERANCE, Array, bezier_points
 from .svg_documents import svg_document
 
@@ -55,23 +57,40 @@ def _of_file(library: Any, path: Path) -> list[tuple[Any, str]]:
     from xml.etree.ElementTree import ParseError
 
     try:
-        document, viewbox = svg_document(path)
-        width, height = viewbox or (None, None)
-        picture = library.SVG.parse(document, ppi=25.4, width=width, height=height)
+        picture = library.SVG.parse(svg_document(path), ppi=96)
     except (ParseError, ValueError) as error:
         if isinstance(error, ShapeError):
             raise
         raise ShapeError(f"source: {path} is no SVG picture: {error}") from error
     paths = []
-    for element in picture.elements():
-        if not isinstance(element, library.Shape):
+    clipped = 0
+    elements = [picture]
+    while elements:
+        element = elements.pop()
+        values, own = element.values, element.values.get("attributes", {})
+        # A group that is transparent hides all of its content, which may have opacities of its own.
+        if _is_zero(own.get("opacity")):
             continue
-        values = element.values
-        if _is_unfilled(element) or values.get("visibility") == "hidden":
-            continue
-        rule = "even-odd" if values.get("fill-rule") == "evenodd" else "nonzero"
-        paths.append((library.Path(element).reify(), rule))
+        clipped += any(own.get(name, "none") != "none" for name in ("clip-path", "mask"))
+        if isinstance(element, (library.Group, library.Use)):
+            elements.extend(reversed(element))
+        elif isinstance(element, library.Shape) and not (
+            _is_unfilled(element) or _is_zero(values.get("fill-opacity")) or values.get("visibility") == "hidden"
+        ):
+            rule = "even-odd" if values.get("fill-rule") == "evenodd" else "nonzero"
+            paths.append((library.Path(element).reify(), rule))
+    if clipped:
+        count = count_text(clipped, "element")
+        warn_surface([f"source: {path}: clip-path or mask of {count} is ignored; apply it in a drawing program"])
     return paths
+
+
+def _is_zero(opacity: str | None) -> bool:
+    """Whether an opacity such as ``"0"`` or ``"0 %"`` is fully transparent."""
+    try:
+        return opacity is not None and float(opacity.strip().removesuffix("%")) <= 0
+    except ValueError:
+        return False
 
 
 def _is_unfilled(element: Any) -> bool:
