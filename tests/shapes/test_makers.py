@@ -173,6 +173,16 @@ def test_repr_is_the_python_that_makes_the_shape(shape):
     np.testing.assert_allclose(again.distance(POINTS), shape.distance(POINTS), atol=1e-5, equal_nan=False)
 
 
+def test_the_text_of_a_deep_shape_has_an_end():
+    shape = fb.box(1)
+    for turn in range(1000):
+        shape = shape.rotate("x", 1).paint((turn / 1024, 0, 0))
+    text = repr(shape)
+    assert text.startswith("Shape((...).")
+    assert text.endswith('.rotate("x", 1).paint((0.9755859375, 0, 0)))')
+    assert len(text) < 10_000
+
+
 @pytest.mark.parametrize(
     "text",
     [

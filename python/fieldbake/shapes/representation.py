@@ -8,6 +8,9 @@ from collections.abc import Callable, Iterator, Sequence
 
 Numbers = Sequence[float]
 
+#: Depth of operators and modifiers below which the text has three dots.
+MOST_DEPTH = 100
+
 #: Symbols of the operators.
 OPERATORS = {"union": "|", "inter": "&", "diff": "-", "xor": "^"}
 
@@ -133,14 +136,19 @@ MODIFIERS: dict[str, Callable[..., str]] = {
 
 
 def python_text(expression: str) -> str:
-    """Translate an s-expression of :meth:`Shape.to_sexpr` to Python."""
+    """Translate an s-expression of :meth:`Shape.to_sexpr` to Python, with ``...`` below `MOST_DEPTH`."""
     words = iter(re.findall(r"[()]|[^\s()]+", expression))
     next(words)
     return _form(words)[0]
 
 
-def _form(words: Iterator[str]) -> tuple[str, bool]:
+def _form(words: Iterator[str], depth: int = 0) -> tuple[str, bool]:
     """Translate the form after its parenthesis: the text, and whether a method call needs parentheses around it."""
+    if depth > MOST_DEPTH:
+        opened = 1
+        while opened:
+            opened += {"(": 1, ")": -1}.get(next(words), 0)
+        return "...", True
     name = next(words)
     kind = next(words) if name in ("blend", "chamfer") else ""
     numbers: list[float] = []
@@ -149,7 +157,7 @@ def _form(words: Iterator[str]) -> tuple[str, bool]:
         if word == ")":
             break
         if word == "(":
-            parts.append(_form(words))
+            parts.append(_form(words, depth + 1))
         else:
             numbers.append(float(word))
     closed = [f"({text})" if loose else text for text, loose in parts]
