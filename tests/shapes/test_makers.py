@@ -1,5 +1,8 @@
 """Shapes between points, arrays, Booleans of profiles, volumes as operands, Python text of shapes, and mesh files."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
@@ -181,6 +184,15 @@ def test_the_text_of_a_deep_shape_has_an_end():
     assert text.startswith("Shape((...).")
     assert text.endswith('.rotate("x", 1).paint((0.9755859375, 0, 0)))')
     assert len(text) < 10_000
+
+
+def test_copies_of_shapes_are_the_same_and_volumes_in_them_are_not_pickled():
+    grown = fb.box((1, 1, 4)).twist(pitch=8).offset(0.1, resolution=8)
+    for shape in (fb.sphere(1), grown):
+        assert copy.copy(shape) is shape
+        assert copy.deepcopy([shape])[0] is shape
+    with pytest.raises(fb.ShapeError, match="save the volume and make the shape of it again"):
+        pickle.dumps(grown)
 
 
 @pytest.mark.parametrize(

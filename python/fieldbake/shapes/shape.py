@@ -409,8 +409,17 @@ class Shape(Field):
             bound = f", field_error={error:.2g}" if 0 < error < math.inf else ""
             return f"Shape({leaves} {'leaf' if leaves == 1 else 'leaves'}, one of them a volume{bound})"
 
+    def __copy__(self) -> Shape:
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Shape:
+        return self
+
     def __reduce__(self) -> tuple[Any, ...]:
-        return _from_sexpr, (self.to_sexpr(),)
+        try:
+            return _from_sexpr, (self.to_sexpr(),)
+        except ShapeError as error:
+            raise ShapeError(f"{error}; to pickle it, save the volume and make the shape of it again") from None
 
 
 def _from_sexpr(text: str) -> Shape:
