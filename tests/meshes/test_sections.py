@@ -336,6 +336,12 @@ def test_planes_beside_the_solid_have_no_polygons():
         assert "<svg" in section.to_svg()
 
 
+def test_an_empty_shape_has_empty_sections():
+    nothing = fb.sphere(1) & fb.sphere(1).translate((5, 0, 0))
+    for origin in ((0, 0, 0), (0, 0, 9)):
+        assert nothing.section(origin, "z").area == 0
+
+
 def test_the_svg_has_millimetres_and_upward_y(tmp_path):
     section = fb.Mesh(*meshes.box((0, 0, 0), (3, 2, 1))).section((0, 0, 0.5), "z")
     text = section.to_svg(tmp_path / "plate.svg")

@@ -272,6 +272,12 @@ def test_an_empty_shape_has_no_parts_and_an_empty_picture():
     assert np.isinf(frame.depth).all()
 
 
+@pytest.mark.parametrize("call", [lambda e: e.to_mesh(8), fb.bake, fb.raymarch, lambda e: e.save("empty.stl")])
+def test_an_empty_shape_is_named_as_such(call):
+    with pytest.raises(fb.Error, match=r"empty.*parts do not overlap"):
+        call(fb.sphere(1) & fb.sphere(1).translate((5, 0, 0)))
+
+
 def test_a_thousand_leaves_fall_into_small_parts():
     random = np.random.default_rng(0)
     shape = fb.Shape.union(*(fb.sphere(0.1).translate(random.uniform(-2, 2, 3)) for _ in range(1000)))

@@ -95,10 +95,9 @@ def make_grid(
     center = (box[0] + box[1]) / 2
     extent = box[1] - box[0]
     if not (extent > 0).any():
-        raise ArgumentError(
-            f"bounds: the box is the point {box[0].tolist()}, which has no voxels; a shape is empty if its "
-            "parts do not overlap"
-        )
+        if outer is None:
+            raise ArgumentError(f"shape: is empty, with the box {box.tolist()}; its parts do not overlap")
+        raise ArgumentError(f"bounds: the box is the point {box[0].tolist()}, which has no voxels")
     wanted = extent * (1 + margin) if outer is None else extent
     border_voxels = (2.0 if outer is None else 0.0) * np.broadcast_to(np.asarray(border, dtype=np.float64), 3)
 

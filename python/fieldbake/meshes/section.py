@@ -325,7 +325,8 @@ def field_sections(
     found = []
     for plane in planes:
         lower, upper = _cut_of_box(bounds, plane)
-        counts = np.ceil((upper - lower) / spacing + 2)
+        # The box of an empty shape is a point, and so are its cells.
+        counts = np.ceil((upper - lower) / spacing + 2) if spacing > 0 else np.full(2, -1.0)
         loops: list[Array] = []
         if (counts >= 0).all():
             # Samples and masks take about 16 bytes a node.

@@ -178,7 +178,10 @@ class Camera:
             raise SceneError(str(error)) from None
         radius = float(np.linalg.norm(box[1] - box[0])) / 2
         if not radius > 0:
-            raise SceneError(f"bounds: the box is a single point, {box[0].tolist()}")
+            raise SceneError(
+                f"bounds: the box is the point {box[0].tolist()}; a shape with such a box is empty, because its parts "
+                "do not overlap"
+            )
         if not np.linalg.norm(forward) > 0:
             raise SceneError("direction: must have a length, got (0, 0, 0)")
         forward /= np.linalg.norm(forward)
