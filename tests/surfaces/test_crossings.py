@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import fieldbake as fb
+from fieldbake.meshes.isosurface import with_thin_walls
 from manifold import faults
 
 
@@ -51,6 +52,12 @@ def test_the_surface_of_a_lattice_is_near_the_field(name):
     assert is_thick.mean() >= 0.8
     assert (away[is_thick] <= 0.1).mean() >= 0.99
     assert away.max() <= 1
+
+
+def test_faces_without_an_area_have_no_walls():
+    # The cross product of edges of 1e-170 is 0 in float64, and warnings are errors.
+    mesh = fb.Mesh(np.concatenate([np.eye(3), 1e-170 * np.eye(3)]), np.arange(6).reshape(2, 3))
+    assert with_thin_walls(mesh, fb.sphere(3)._core, 0.1) is mesh
 
 
 def test_walls_thinner_than_half_a_voxel_are_a_warning():

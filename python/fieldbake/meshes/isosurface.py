@@ -215,8 +215,10 @@ def with_thin_walls(mesh: Mesh, shape: _core.Shape, voxel: float) -> Mesh:
     corners = mesh.vertices[mesh.faces[:: -(-count // WALL_FACES)]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     areas = np.linalg.norm(normals, axis=1)
+    # A face without an area has no normal, and bounds no wall.
+    corners, normals, areas = (values[areas > 0] for values in (corners, normals, areas))
     within = corners.mean(axis=1) - 0.5 * voxel * normals / areas[:, None]
-    thin = float(areas[shape.distance(within, "cpu") > 0].sum() / areas.sum())
+    thin = float(areas[shape.distance(within, "cpu") > 0].sum() / max(areas.sum(), np.finfo(float).tiny))
     if thin > THIN_SHARE:
         warnings = (
             f"resolution: about {100 * thin:.0f} % of the surface bounds walls thinner than half a voxel "
