@@ -342,6 +342,14 @@ def test_an_empty_shape_has_empty_sections():
         assert nothing.section(origin, "z").area == 0
 
 
+@pytest.mark.parametrize("axis", range(3))
+def test_a_sign_before_an_axis_reverses_the_normal(axis):
+    for solid in (fb.box((1, 2, 3)), fb.Mesh(*meshes.box())):
+        named, given = solid.section((0, 0, 0), "-" + "xyz"[axis]), solid.section((0, 0, 0), -np.eye(3)[axis])
+        assert named.plane.tolist() == given.plane.tolist()
+        assert [loop.tolist() for loop in named.polygons] == [loop.tolist() for loop in given.polygons]
+
+
 def test_the_svg_has_millimetres_and_upward_y(tmp_path):
     section = fb.Mesh(*meshes.box((0, 0, 0), (3, 2, 1))).section((0, 0, 0.5), "z")
     text = section.to_svg(tmp_path / "plate.svg")

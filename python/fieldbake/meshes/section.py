@@ -126,7 +126,7 @@ class Sectioned:
         ----------
         origin : (3,) real
             A point of the plane, world units. It is the origin of the section's coordinates.
-        normal : (3,) real, or "x", "y" or "z"
+        normal : (3,) real, or "x", "y", "z", "-x", "-y" or "-z"
             Normal of the plane, of any length. The x axis of a section with the normal z is the world's x axis.
 
         Returns
@@ -171,7 +171,7 @@ class Sectioned:
         ----------
         origins : (n, 3) real
             A point of each plane, world units.
-        normal : (3,) real, or "x", "y" or "z"
+        normal : (3,) real, or "x", "y", "z", "-x", "-y" or "-z"
             The common normal, as for :meth:`section`.
 
         Returns
@@ -201,7 +201,8 @@ def frames(origins: ArrayLike, normal: ArrayLike | str) -> list[Array]:
     if len(shape) > 1:
         raise ArgumentError(f"origins: must have shape (n, 3), got {checks.describe(origins)}")
     if isinstance(normal, str):
-        normal = np.eye(3)["xyz".index(checks.choice("normal", normal, ("x", "y", "z")))]
+        word = checks.choice("normal", normal, ("x", "y", "z", "-x", "-y", "-z"))
+        normal = np.eye(3)["xyz".index(word[-1])] * (-1 if len(word) > 1 else 1)
     z = checks.vector("normal", normal, 3)
     if not np.abs(z).max() > 0:
         raise ArgumentError("normal: must not be zero")
