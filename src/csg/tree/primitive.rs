@@ -4,7 +4,7 @@
 //! bound and its Lipschitz constant, and has a support function, which gives tight boxes under any rotation. The
 //! distances are in [`crate::csg::evaluation::field`].
 
-use super::checks::{finite, not_negative, positive};
+use super::checks::{finite, not_negative, positive, unit};
 use super::ends::Ends;
 use super::language_table::{NumberSource, Word};
 use super::profile::Profile;
@@ -164,17 +164,6 @@ primitives!(declare);
 /// Number of parameters of a distance function.
 pub(crate) const PARAMETERS: usize = 6;
 
-/// The unit vector along a normal of any length.
-fn direction(normal: [f64; 3]) -> Result<DVec3, ShapeError> {
-    let [x, y, z] = normal.map(|component| finite("normal", component));
-    let normal = DVec3::new(x?, y?, z?);
-    let largest = normal.abs().max_element();
-    if largest == 0.0 {
-        return Err(ShapeError::argument("normal", "is zero, expected a direction"));
-    }
-    Ok((normal / largest).normalize())
-}
-
 /// The largest `n . p` over the points with `normal . p <= offset`, which is finite along the normal only.
 fn half_space_support(n: DVec3, normal: DVec3, offset: f64) -> f64 {
     let along = n.dot(normal);
@@ -260,11 +249,11 @@ impl Primitive {
                 Self::RoundedCone { low, high, half_height: 0.5 * not_negative("height", height)? }
             }
             ("plane", &[x, y, z, offset]) => {
-                Self::Plane { normal: direction([x, y, z])?, offset: finite("offset", offset)? }
+                Self::Plane { normal: unit("normal", [x, y, z])?, offset: finite("offset", offset)? }
             }
             ("slab", &[thickness, x, y, z]) => {
                 let half_thickness = 0.5 * positive("thickness", thickness)?;
-                Self::Slab { normal: direction([x, y, z])?, half_thickness }
+                Self::Slab { normal: unit("normal", [x, y, z])?, half_thickness }
             }
             ("pyramid", &[base, height]) => Self::Pyramid {
                 half_base: 0.5 * positive("base", base)?,

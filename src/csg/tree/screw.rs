@@ -25,7 +25,12 @@ pub(crate) fn check(radius: f64, pitch: f64, offset: f64, is_iso: bool) -> Resul
     let [minor, ..] = profile(radius, pitch, is_iso);
     if pitch > minor {
         let least = 2.0 * (radius - minor + pitch);
-        let problem = format!("must be at most the minor radius {minor}, got {pitch}; a diameter of {least} has it");
+        let limit = if minor > 0.0 {
+            format!("must be at most the minor radius {minor}")
+        } else {
+            format!("is too large for a diameter of {}", 2.0 * radius)
+        };
+        let problem = format!("{limit}, got {pitch}; a diameter of {least} has this pitch");
         return Err(ShapeError::argument("pitch", problem));
     }
     if offset.abs() > 0.25 * minor {

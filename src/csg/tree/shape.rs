@@ -4,7 +4,7 @@
 //! many trees, and several times in one tree. No function recurses: a tree of a hundred thousand levels is built,
 //! traversed and dropped.
 
-use super::checks::{finite, not_negative, positive};
+use super::checks::{finite, not_negative, positive, unit};
 use super::ends::Ends;
 use super::field_kind::{FieldKind, Operand};
 use super::kind::{Blend, Kind, Op};
@@ -125,18 +125,10 @@ impl Shape {
         let vector = |argument, x, y, z| -> Result<DVec3, ShapeError> {
             Ok(DVec3::new(finite(argument, x)?, finite(argument, y)?, finite(argument, z)?))
         };
-        let unit = |argument, x, y, z| -> Result<DVec3, ShapeError> {
-            let axis = vector(argument, x, y, z)?;
-            let largest = axis.abs().max_element();
-            if largest == 0.0 {
-                return Err(ShapeError::argument(argument, "is zero, expected a direction"));
-            }
-            Ok((axis / largest).normalize())
-        };
         let kind = match (name, numbers) {
             ("translate", &[x, y, z]) => Kind::Move(vector("offset", x, y, z)?),
             ("rotate", &[x, y, z, degrees]) => {
-                let (axis, degrees) = (unit("axis", x, y, z)?, finite("degrees", degrees)?);
+                let (axis, degrees) = (unit("axis", [x, y, z])?, finite("degrees", degrees)?);
                 if is_coordinate_axis(axis) {
                     Kind::Rotate { axis: axis.abs(), degrees: degrees * axis.element_sum() }
                 } else {
@@ -163,8 +155,8 @@ impl Shape {
             ("elongate", &[x, y, z]) => {
                 Kind::Elongate(DVec3::new(not_negative("size", x)?, not_negative("size", y)?, not_negative("size", z)?))
             }
-            ("reflect", &[x, y, z]) => Kind::Reflect(unit("axis", x, y, z)?),
-            ("mirror", &[x, y, z]) => Kind::Mirror(unit("axis", x, y, z)?),
+            ("reflect", &[x, y, z]) => Kind::Reflect(unit("axis", [x, y, z])?),
+            ("mirror", &[x, y, z]) => Kind::Mirror(unit("axis", [x, y, z])?),
             ("repeat", &[x, y, z, nx, ny, nz]) => {
                 Kind::Repeat { spacing: vector("spacing", x, y, z)?, counts: counts([nx, ny, nz])? }
             }
@@ -189,7 +181,10 @@ impl Shape {
     pub fn reblended(&self, blend: Blend) -> Result<Self, ShapeError> {
         match self.kind() {
             Kind::Combine { op, .. } => Self::combine(*op, blend, self.children().to_vec()),
-            _ => Err(ShapeError::argument("shape", "has no operator at its root to be made smooth; combine first")),
+            _ => Err(ShapeError::argument(
+                "shape",
+                "has no operator at its root whose joint may be smooth or chamfered; combine first",
+            )),
         }
     }
 
