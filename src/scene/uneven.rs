@@ -85,7 +85,7 @@ fn uneven(frame: &Frame) -> Vec<bool> {
         ];
         pairs.into_iter().any(|[a, b]| {
             let bend = displayed[a] + displayed[b] - 2.0 * displayed[pixel];
-            !(bend.abs().max_element() <= EVEN) || is_apart(pixel, a) || is_apart(pixel, b)
+            bend.abs().max_element() > EVEN || is_apart(pixel, a) || is_apart(pixel, b)
         })
     };
     (0..width * height).into_par_iter().map(is_uneven).collect()
