@@ -40,7 +40,7 @@ LAYERS = [
 INNER = {
     "bvh": ["binary boxes build lanes moments pack refit stack", "nearest rays"],
     "csg": ["tree", "model", "evaluation", "parts", "level_set text", "device"],
-    "scene": ["fields", "content", "visibility", "light", "device", "lighting", "last_picture", "renderer"],
+    "scene": ["fields", "content", "visibility", "light", "device", "lighting", "last_picture uneven", "renderer"],
 }
 
 #: Largest number of files directly in a folder.

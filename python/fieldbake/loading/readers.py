@@ -74,7 +74,7 @@ def load(path: str | os.PathLike[str]) -> Any:
             if file.suffix.lower() == ".npz":
                 raise FormatError(f"{file}: is damaged or not an .npz file ({error})") from None
             raise FormatError(f"{file}: is not a fieldbake file; meshes are read by load_mesh or bake") from None
-        except (CapacityError, Warning):  # A filter may raise warnings.
+        except (CapacityError, UserWarning):  # A filter may raise the warnings of the package.
             raise
         except MemoryError as error:
             raise checks.too_large(file) from error
