@@ -282,20 +282,25 @@ def test_pictures_at_rest_are_smooth(tmp_path: Path) -> None:
         assert result.errors == []
         first, smooth = (decoded(text)[..., :3].astype(float) for text in result.value)
         # 64 samples for each pixel, averaged in sRGB as the view averages.
-        large = draw(geometry, camera(), size=(8 * SIZE[0], 8 * SIZE[1]), shadows="hard", device="cpu").image
-        truth = large[..., :3].astype(float).reshape(SIZE[1], 8, SIZE[0], 8, 3).mean(axis=(1, 3))
+        large = draw(geometry, camera(), size=(8 * SIZE[0], 8 * SIZE[1]), shadows="hard", device="cpu")
+        samples = large.image[..., :3].astype(float).reshape(SIZE[1], 8, SIZE[0], 8, 3)
+        truth = samples.mean(axis=(1, 3))
         if draw is fb.raymarch:
             # The first picture has one sample in the centre of each pixel.
             center = draw(geometry, camera(), size=SIZE, shadows="hard", device="cpu").image
             assert (np.abs(first - center[..., :3]) <= 2).mean() >= 0.995
         else:
             first = draw(geometry, camera(), size=SIZE, shadows="hard", device="cpu").image[..., :3].astype(float)
+        edges = np.ptp(samples, axis=(1, 3)).max(axis=-1) > 32
+        covered = np.isfinite(large.depth).reshape(SIZE[1], 8, SIZE[0], 8).mean(axis=(1, 3))
+        outline = (covered > 0) & (covered < 1)
         # An edge divides 16 well spread samples with an error of about 1/16 of its contrast, and one sample with one of
-        # about 1/2. Half of that gain is left for edges that are thinner than a pixel.
-        edges = np.ptp(large[..., :3].reshape(SIZE[1], 8, SIZE[0], 8, 3), axis=(1, 3)).max(axis=-1) > 32
-        assert edges.sum() > 100
-        before, after = (np.sqrt(((found - truth)[edges] ** 2).mean()) for found in (first, smooth))
-        assert after <= 0.25 * before, (after, before)
+        # about 1/2. Half of that gain is left for edges that are thinner than a pixel. Within the outline of a mesh,
+        # the view has the shadow edges of a field, and the truth has the shadow edges of triangles.
+        for pixels, share in ((edges, 0.25 if draw is fb.raymarch else 0.6), (outline, 0.25)):
+            assert pixels.sum() > 100
+            before, after = (np.sqrt(((found - truth)[pixels] ** 2).mean()) for found in (first, smooth))
+            assert after <= share * before, (after, before)
 
 
 def check_modes(result: Visit) -> None:
