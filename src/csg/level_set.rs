@@ -120,7 +120,9 @@ fn level_surface_and_joints(
         solid.samples_of_block(grid, SIDE, origin, stack, samples);
         let found = suspected_joints(samples, level, (ON_JOINT * grid.spacing().min_element()) as f32);
         if !found.is_empty() {
-            let place = |index: IVec3| grid.lower + ((IVec3::from(origin) + index).as_dvec3() + 0.5) * grid.spacing();
+            // As in the block, a sample outside the grid repeats the nearest one of the grid.
+            let nearest = |index: IVec3| (IVec3::from(origin) + index).clamp(IVec3::ZERO, shape - 1).as_dvec3();
+            let place = |index: IVec3| grid.lower + (nearest(index) + 0.5) * grid.spacing();
             let found = found.into_iter().map(|(index, axis)| (place(index), axis));
             suspects.lock().unwrap_or_else(PoisonError::into_inner).extend(found);
         }
