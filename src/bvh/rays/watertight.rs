@@ -100,7 +100,7 @@ impl Clip {
         let (enter, leave) = slab(ray.origin, inverse, min, max);
         // The search begins at the box or at the origin also if `t_min` is larger, so that the `t` of a hit does not
         // depend on it.
-        let (t_start, t_end) = (larger(enter * unscale, ray.t_min.min(0.0)), smaller(leave * unscale, ray.t_max));
+        let (t_start, t_end) = (larger(enter * unscale, smaller(ray.t_min, 0.0)), smaller(leave * unscale, ray.t_max));
         // A ray that misses has enter > leave.
         if enter > leave || t_start > t_end || t_start.is_infinite() {
             return None;
