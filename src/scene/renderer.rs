@@ -284,7 +284,8 @@ fn draw(
     };
     let reused = [last.0.is_some(), last.1.is_some()];
     // Each pass advances the progress by one for each row in which it finds surfaces, by more for each row in which it
-    // finds their light, and by one for each row that it shades. A frame that reuses both shades only.
+    // finds their light, and by one for each row that it shades. A frame that reuses both shades only. The samples of
+    // pixels beside edges, found after the first ones, are not counted.
     let draws = u64::from(count) - u64::from(reused[0]);
     let finds = evaluation::find_count(options, count, reused[1]);
     let shades = u64::from(count);

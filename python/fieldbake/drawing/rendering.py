@@ -267,7 +267,8 @@ def render(scene: Any, camera: Camera | None = None, **options: Unpack[RenderOpt
     samples : int, default 1
         Colour samples per pixel, a square number up to 64: 1, 4, 9, 16, ... Higher values smooth edges. A pixel has
         one sample where the displayed colours of neighbouring pixels change evenly, to 1/32, on one object without an
-        edge; the mean over such a pixel is the colour at its centre. Depth, normals and ids are taken at the pixel
+        edge, for the mean over such a pixel is the colour at its centre (adaptive sampling: D. P. Mitchell, Generating
+        antialiased images at low sampling densities, SIGGRAPH 1987). Depth, normals and ids are taken at the pixel
         centre. Lighting is interpolated from neighbouring centres where they agree, and evaluated elsewhere.
     light_scale : 1 or 2, default 1
         2 evaluates lighting at a quarter of the pixels and upsamples it (joint bilateral upsampling). Pixels whose

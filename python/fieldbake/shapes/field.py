@@ -160,7 +160,8 @@ class Field(Viewable, Sectioned):
         Notes
         -----
         The bound :attr:`lipschitz` excludes blocks that cannot contain a part of the surface. The field is evaluated in
-        the other blocks only.
+        the other blocks only. Samples on the common face of touching shapes would divide the solid there; the grid has
+        one to three voxels more then along the axis across the face.
 
         Examples
         --------
