@@ -79,6 +79,8 @@ struct Loose<'a> {
     /// Its patch.
     id: u32,
     place: DVec3,
+    /// Whether the place is farther than [`FARTHEST`] from the source close to it.
+    is_far: bool,
 }
 
 impl LevelSurface {
@@ -182,13 +184,16 @@ impl LevelSurface {
                 let Some((_, is_flat)) = nearby.filter(|_| !clamped) else { continue };
                 let error = || planes.error(place - self.world(cell.index, DVec3::ZERO));
                 if !is_flat || error() > (LEAST_ERROR * self.spacing.min_element()).powi(2) {
-                    waiting.push(Loose { cell, id, place });
+                    waiting.push(Loose { cell, id, place, is_far: false });
                 }
             }
             if let Some(nearby) = nearby {
                 self.correct(&mut waiting, false, crossings, extra, nearby);
                 let first = cells[0].first_patch;
-                waiting.iter().for_each(|vertex| places[(vertex.id - first) as usize] = vertex.place);
+                for vertex in &waiting {
+                    places[(vertex.id - first) as usize] = vertex.place;
+                    is_clamped[vertex.id as usize].store(vertex.is_far, Ordering::Relaxed);
+                }
             }
         });
         let is_clamped = is_clamped.into_iter().map(AtomicBool::into_inner).collect();
@@ -215,7 +220,7 @@ impl LevelSurface {
         nearby(&targets, &mut |row, point, normal| found.push((row, point, normal)));
         let mut own = Vec::new();
         for near in found.chunk_by(|a, b| a.0 == b.0) {
-            let Loose { cell, id, place } = &mut vertices[near[0].0];
+            let Loose { cell, id, place, is_far } = &mut vertices[near[0].0];
             let corner = self.world(cell.index, DVec3::ZERO);
             let before = *place - corner;
             let [lower, upper] = if free { self.region_beyond(cell) } else { self.region(cell, cell.free) };
@@ -244,9 +249,10 @@ impl LevelSurface {
                     (best - normal * (height - height.clamp(-most, most))).clamp(lower, upper)
                 })
             };
-            if !own.is_empty() && (after - before).abs().cmple(self.spacing * FARTHEST).all() {
+            if !own.is_empty() && self.is_near(after, before) {
                 *place = self.in_box(corner + after);
             }
+            *is_far = near.iter().all(|(_, point, _)| !self.is_near(*place, *point));
         }
     }
 
@@ -260,7 +266,7 @@ impl LevelSurface {
             .map(|(cell, id)| {
                 let [lower, upper] = self.region_beyond(cell);
                 let best = self.planes(cell, id, crossings, extra.of(id)).minimum(lower, upper).point;
-                Loose { cell, id, place: self.in_box(self.world(cell.index, DVec3::ZERO) + best) }
+                Loose { cell, id, place: self.in_box(self.world(cell.index, DVec3::ZERO) + best), is_far: false }
             })
             .collect();
         let mut corrected = best.clone();
@@ -268,16 +274,17 @@ impl LevelSurface {
             let parts = corrected.par_chunks_mut(CHUNK);
             parts.for_each(|vertices| self.correct(vertices, true, crossings, extra, nearby));
         }
-        let mut waiting: Vec<(Loose<'_>, DVec3)> =
-            best.into_iter().zip(corrected).map(|(best, corrected)| (best, corrected.place)).collect();
+        let mut waiting: Vec<(Loose<'_>, Loose<'_>)> = best.into_iter().zip(corrected).collect();
         // A vertex that cannot move at first may do so when its neighbours have moved.
         for _ in 0..FREE_PASSES {
             let before = waiting.len();
-            waiting.retain(|&(Loose { id, place, .. }, corrected)| {
+            waiting.retain(|(best, corrected)| {
                 // Two vertices must not have the same place, as at a corner.
-                let is_apart = self.is_apart(id, corrected, vertices);
-                let has_moved =
-                    (is_apart && self.moves_to(id, corrected, vertices)) || self.moves_to(id, place, vertices);
+                let id = best.id;
+                let is_apart = self.is_apart(id, corrected.place, vertices);
+                let has_moved = !corrected.is_far
+                    && ((is_apart && self.moves_to(id, corrected.place, vertices))
+                        || (self.is_near(best.place, corrected.place) && self.moves_to(id, best.place, vertices)));
                 is_clamped[id as usize] = !has_moved;
                 !has_moved
             });
@@ -285,19 +292,48 @@ impl LevelSurface {
                 break;
             }
         }
-        for &(Loose { cell, id, place: best }, _) in &waiting {
-            // The error decreases all the way to the best place.
-            let start = vertices[id as usize];
-            if [0.75, 0.5, 0.25].into_iter().any(|share| self.moves_to(id, start.lerp(best, share), vertices)) {
-                continue;
-            }
-            // Planes beyond the cell would bend the surface; the crossings alone may have a place inside.
+        // The error decreases all the way to the best place.
+        waiting.retain(|(best, corrected)| {
+            let start = vertices[best.id as usize];
+            let end = if self.is_near(best.place, corrected.place) { best.place } else { corrected.place };
+            let mut moves = |share| self.moves_to(best.id, start.lerp(end, share), vertices);
+            corrected.is_far || ![0.75, 0.5, 0.25].into_iter().any(|share| moves(share))
+        });
+        self.move_near(&waiting.into_iter().map(|(best, _)| best).collect::<Vec<_>>(), vertices, crossings, extra);
+    }
+
+    /// Moves clamped vertices to the best places of the planes at their crossings, since planes beyond the cell would
+    /// bend the surface. A place that is not close to the source gives way to the place of the vertex, or to the mean
+    /// of the crossings.
+    fn move_near(&self, clamped: &[Loose<'_>], vertices: &mut [DVec3], crossings: &[Crossing], extra: &ExtraPlanes) {
+        let choices = clamped.iter().flat_map(|&Loose { cell, id, .. }| {
+            let own = self.planes(cell, id, crossings, &[]);
+            let corner = self.world(cell.index, DVec3::ZERO);
             let [lower, upper] = self.region(cell, cell.free);
-            let own = self.planes(cell, id, crossings, &[]).minimum(lower, upper);
-            if !own.clamped {
-                vertices[id as usize] = self.world(cell.index, DVec3::ZERO) + own.point;
-            }
+            let best = own.minimum(lower, upper);
+            let start = vertices[id as usize];
+            let [lower, upper] = self.region(cell, 0);
+            let mean = self.in_box(corner + own.mean().clamp(lower, upper));
+            [if best.clamped { start } else { corner + best.point }, start, mean]
+        });
+        let places: Vec<Place> = choices.map(|point| Place { point, is_sharp: false }).collect();
+        let mut distances = vec![0.0; places.len()];
+        if let Some((nearby, _)) = extra.nearby() {
+            distances.fill(f64::INFINITY);
+            nearby(&places, &mut |i, point, _| {
+                let away = ((point - places[i].point) / self.spacing).length();
+                distances[i] = distances[i].min(if away > FARTHEST { away } else { 0.0 });
+            });
         }
+        for (vertex, first) in clamped.iter().zip((0..).step_by(3)) {
+            let nearest = (first..first + 3).min_by(|&a, &b| distances[a].total_cmp(&distances[b])).unwrap_or(first);
+            vertices[vertex.id as usize] = places[nearest].point;
+        }
+    }
+
+    /// Whether two places differ by [`FARTHEST`] or less along each axis.
+    fn is_near(&self, place: DVec3, other: DVec3) -> bool {
+        (other - place).abs().cmple(self.spacing * FARTHEST).all()
     }
 
     /// Whether a place, world units, is at least [`APART`] from all other vertices of the quadrilaterals at a patch.

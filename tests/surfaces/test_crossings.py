@@ -54,6 +54,16 @@ def test_the_surface_of_a_lattice_is_near_the_field(name):
     assert away.max() <= 1
 
 
+@pytest.mark.parametrize(("pitch", "lead_in", "resolution"), [(0.75, 0, 64), (0.75, 0, 100), (1.25, 0.6, 128)])
+def test_vertices_of_a_fine_thread_are_near_its_surface(pitch, lead_in, resolution):
+    """Flanks meet the end faces outside the crest, which has less than a voxel there."""
+    rod = fb.thread(8, pitch, 10, lead_in=lead_in)
+    distances = np.abs(rod.distance(rod.to_mesh(resolution).vertices))
+
+    # Crests are narrower than a voxel, so that a vertex between two flanks may lie half a voxel beyond its crest.
+    assert distances.max() <= 0.6 * 10 / resolution
+
+
 def test_faces_without_an_area_have_no_walls():
     # The cross product of edges of 1e-170 is 0 in float64, and warnings are errors.
     mesh = fb.Mesh(np.concatenate([np.eye(3), 1e-170 * np.eye(3)]), np.arange(6).reshape(2, 3))
