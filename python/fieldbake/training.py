@@ -77,7 +77,7 @@ def sample(
 
     Parameters
     ----------
-    mesh : Mesh or anything :func:`fieldbake.bake` takes
+    mesh : Mesh or anything :func:`fieldbake.bake` takes as a mesh
         The mesh, in any units. It is normalised as in the project; :meth:`Recipe.transform` is the matrix.
     recipe : str or Recipe
         ``"deepsdf"``, ``"onet"``, ``"vecset"``, ``"hunyuan"`` or ``"dora"``.

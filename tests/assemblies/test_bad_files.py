@@ -162,7 +162,8 @@ def test_a_missing_file_and_wrong_arguments(folder):
         fb.Assembly.from_urdf(folder / "robot.urdf", elements="both")
     with pytest.raises(fb.ArgumentError, match=r"packages: must be a mapping of name to folder, got \['shop'\]"):
         fb.Assembly.from_urdf(folder / "robot.urdf", packages=["shop"])
-    assert fb.Assembly.from_urdf(folder / "robot.urdf", elements="visual").report.geometries == 0
+    with pytest.warns(UserWarning, match="no body has visual geometry"):
+        assert fb.Assembly.from_urdf(folder / "robot.urdf", elements="visual").report.geometries == 0
 
 
 MJCF = "<mujoco><worldbody>{}</worldbody></mujoco>"
@@ -270,3 +271,12 @@ def test_random_mutations_raise_errors_of_ours_only(folder, random):
 @pytest.mark.slow
 def test_many_random_mutations_raise_errors_of_ours_only(folder, random):
     assert 300 < check_mutations(folder, 10_000, random) < 9_700
+
+
+def test_a_file_without_the_chosen_geometry_is_a_warning(tmp_path):
+    (tmp_path / "robot.urdf").write_text(f"<robot>{BALL.replace('collision', 'visual')}</robot>")
+    with pytest.warns(UserWarning, match=r"elements: no body has collision geometry.*elements='visual'"):
+        robot = fb.Assembly.from_urdf(tmp_path / "robot.urdf")
+
+    assert robot.distance([(3, 0, 0)]) == np.inf
+    assert fb.Assembly.from_urdf(tmp_path / "robot.urdf", elements="visual").distance([(3, 0, 0)]) == pytest.approx(2)

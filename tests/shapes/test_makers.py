@@ -146,6 +146,13 @@ def test_a_volume_is_an_operand_on_either_side():
     assert cube.union(volume, k=0.1).distance([(0, 0, 0)])[0] < 0
 
 
+def test_a_mesh_is_no_operand():
+    mesh = fb.sphere(1).to_mesh(8)
+    for combine in (lambda: fb.box(1) - mesh, lambda: mesh | fb.box(1)):
+        with pytest.raises(fb.ShapeError, match=r"operand: .* got a Mesh; fb\.boolean .* fb\.volume_shape"):
+            combine()
+
+
 def test_any_number_of_shapes_are_united():
     parts = [fb.sphere(0.5).translate((i, 0, 0)) for i in range(4)]
     pairs = parts[0] | parts[1] | parts[2] | parts[3]

@@ -70,9 +70,9 @@ def test_faces_without_an_area_have_no_walls():
     assert with_thin_walls(mesh, fb.sphere(3)._core, 0.1) is mesh
 
 
-def test_walls_thinner_than_half_a_voxel_are_a_warning():
+def test_walls_thinner_than_a_voxel_are_a_warning():
     lattice = fb.gyroid(0.3, thickness=0.05) & fb.sphere(1)
-    with pytest.warns(fb.SurfaceWarning, match="resolution: .* % of the surface .* half a voxel") as caught:
+    with pytest.warns(fb.SurfaceWarning, match="resolution: .* % of the surface .* than a voxel") as caught:
         mesh = lattice.to_mesh(24)
     assert mesh.report.warnings == (str(caught[0].message),)
     assert lattice.to_mesh(128).report.warnings == ()

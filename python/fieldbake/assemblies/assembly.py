@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError
-from ..base.notices import warn_surface
+from ..base.notices import warn, warn_surface
 from ..base.progress import Progress, progress_callback
 from ..base.report import MIXED_SIGN_REASON, Report
 from ..meshes.mesh import Mesh
@@ -107,7 +107,7 @@ class Assembly(JointedBodies):
         path : str or path
             The file. Boxes, cylinders, spheres and capsules become exact shapes.
         elements : "collision" or "visual", default "collision"
-            The elements of links that are read.
+            The elements of links that are read. Many files have visual elements alone.
         packages : mapping of str to path, optional
             Folders of packages by name, for ``package://NAME/...``.
         progress : bool or callable, optional
@@ -117,6 +117,11 @@ class Assembly(JointedBodies):
         -------
         Assembly
             One body for each link, and one joint for each joint, in the order of the file.
+
+        Warns
+        -----
+        UserWarning
+            If no link has such elements, so that all distances are infinite.
 
         Raises
         ------
@@ -130,7 +135,7 @@ class Assembly(JointedBodies):
         >>> import fieldbake as fb
         >>> robot = fb.Assembly.from_urdf("robot.urdf")  # doctest: +SKIP
         """
-        return cls._made(*read_urdf(path, elements, packages, progress))
+        return cls._read(elements, read_urdf(path, elements, packages, progress))
 
     @classmethod
     def from_mjcf(cls, source: Any, *, elements: Elements = "collision") -> Assembly:
@@ -150,6 +155,11 @@ class Assembly(JointedBodies):
             One body for each body of the model. The first one is named ``world`` and has the geometry of the world. A
             free joint at the top makes its body a root.
 
+        Warns
+        -----
+        UserWarning
+            If no body has such geoms, so that all distances are infinite.
+
         Raises
         ------
         Error
@@ -161,7 +171,19 @@ class Assembly(JointedBodies):
         >>> import fieldbake as fb
         >>> robot = fb.Assembly.from_mjcf("robot.xml")  # doctest: +SKIP
         """
-        return cls._made(*read_mjcf(source, elements))
+        return cls._read(elements, read_mjcf(source, elements))
+
+    @classmethod
+    def _read(cls, elements: Elements, parts: tuple[Any, ...]) -> Assembly:
+        """Make an assembly of the parts of a file, with a warning if there is no geometry."""
+        if not any(parts[0].values()):
+            other = "visual" if elements == "collision" else "collision"
+            warn(
+                f"elements: no body has {elements} geometry, so all distances are infinite; elements={other!r} reads "
+                f"the {other} geometry",
+                UserWarning,
+            )
+        return cls._made(*parts)
 
     @cached_property
     def report(self) -> AssemblyReport:

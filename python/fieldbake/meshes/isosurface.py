@@ -25,7 +25,8 @@ NEWTON_STEPS = 2
 BATCH = 1 << 20
 
 #: Faces at which the thickness of walls is examined, and the fraction of the surface that may bound walls thinner than
-#: half a voxel, as at the tips and edges of an ordinary solid.
+#: a voxel, as at the tips and edges of an ordinary solid. The edges of the grid pass through thinner walls between two
+#: samples.
 WALL_FACES = 2048
 THIN_SHARE = 0.05
 
@@ -208,7 +209,7 @@ def extract(
 
 
 def with_thin_walls(mesh: Mesh, shape: _core.Shape, voxel: float) -> Mesh:
-    """Warn if many walls of the mesh of a shape are thinner than half a voxel, and add the warning to its report."""
+    """Warn if many walls of the mesh of a shape are thinner than a voxel, and add the warning to its report."""
     count = len(mesh.faces)
     if count == 0:
         return mesh
@@ -217,12 +218,12 @@ def with_thin_walls(mesh: Mesh, shape: _core.Shape, voxel: float) -> Mesh:
     areas = np.linalg.norm(normals, axis=1)
     # A face without an area has no normal, and bounds no wall.
     corners, normals, areas = (values[areas > 0] for values in (corners, normals, areas))
-    within = corners.mean(axis=1) - 0.5 * voxel * normals / areas[:, None]
+    within = corners.mean(axis=1) - voxel * normals / areas[:, None]
     thin = float(areas[shape.distance(within, "cpu") > 0].sum() / max(areas.sum(), np.finfo(float).tiny))
     if thin > THIN_SHARE:
         warnings = (
-            f"resolution: about {100 * thin:.0f} % of the surface bounds walls thinner than half a voxel "
-            f"({0.5 * voxel:.3g}), which the mesh may lose; choose more voxels",
+            f"resolution: about {100 * thin:.0f} % of the surface bounds walls thinner than a voxel "
+            f"({voxel:.3g}), which the mesh may lose; choose more voxels",
         )
         warn_surface(warnings)
         mesh._report = replace(mesh._report or SurfaceReport(), warnings=warnings)

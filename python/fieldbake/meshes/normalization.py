@@ -36,7 +36,7 @@ def normalize(mesh: MeshLike, target: Target = "unit cube") -> Normalized:
 
     Parameters
     ----------
-    mesh : Mesh or anything :func:`bake` takes
+    mesh : Mesh or anything :func:`bake` takes as a mesh
         Mesh to normalise. Its faces determine the box; vertices without a face are transformed too.
     target : "unit cube" or "unit sphere", default "unit cube"
         The centre of the box moves to the origin. ``"unit cube"``: the longest side of the box becomes 1, so

@@ -127,7 +127,8 @@ class Sectioned:
         origin : (3,) real
             A point of the plane, world units. It is the origin of the section's coordinates.
         normal : (3,) real, or "x", "y", "z", "-x", "-y" or "-z"
-            Normal of the plane, of any length. The x axis of a section with the normal z is the world's x axis.
+            Normal of the plane, of any length. The x and y axes of a section are the world's x and y axes for the
+            normal z, y and z for x, and z and x for y.
 
         Returns
         -------

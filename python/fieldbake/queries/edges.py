@@ -112,7 +112,7 @@ def sample_edges(
 
     Parameters
     ----------
-    mesh : Mesh or anything :func:`bake` takes
+    mesh : Mesh or anything :func:`bake` takes as a mesh
         Vertices at equal positions count as one.
     n : int
         Number of points.

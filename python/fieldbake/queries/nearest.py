@@ -105,7 +105,7 @@ def closest_point(
 
     Parameters
     ----------
-    mesh : Mesh, PointCloud, or anything :func:`bake` takes
+    mesh : Mesh, PointCloud, or anything :func:`bake` takes as a mesh
         Pass the same `Mesh` or `PointCloud` to several calls: its search tree is built once.
     points : (..., 3) real
         World positions.
@@ -169,7 +169,7 @@ def query(
 
     Parameters
     ----------
-    mesh : Mesh, PointCloud, Scene or anything :func:`bake` takes
+    mesh : Mesh, PointCloud, Scene or anything :func:`bake` takes as a mesh
         Pass the same `Mesh` or `PointCloud` to several calls: its search tree is built once. The distance of a scene
         is the smallest one over its instances, which are meshes and shapes under rotations, translations, reflections
         and uniform scales. A shape that is not exact counts as its closed mesh.
@@ -281,7 +281,7 @@ def signed_distance(
 
     Parameters
     ----------
-    mesh : Mesh, PointCloud, Scene or anything :func:`bake` takes
+    mesh : Mesh, PointCloud, Scene or anything :func:`bake` takes as a mesh
         Pass the same `Mesh` or `PointCloud` to several calls: its search tree is built once. A scene is evaluated as
         by :func:`query`.
     points : (..., 3) real
@@ -341,7 +341,7 @@ def contains(mesh: MeshLike, points: ArrayLike, *, sign: Sign = "auto", progress
 
     Parameters
     ----------
-    mesh : Mesh, PointCloud, or anything :func:`bake` takes
+    mesh : Mesh, PointCloud, or anything :func:`bake` takes as a mesh
         Pass the same `Mesh` or `PointCloud` to several calls: its search tree is built once.
     points : (..., 3) real
         World positions.
@@ -395,7 +395,7 @@ def winding_number(
 
     Parameters
     ----------
-    mesh : Mesh, PointCloud, or anything :func:`bake` takes
+    mesh : Mesh, PointCloud, or anything :func:`bake` takes as a mesh
         Pass the same `Mesh` or `PointCloud` to several calls: its search tree is built once.
     points : (..., 3) real
         World positions.

@@ -79,7 +79,7 @@ def cast_rays(
 
     Parameters
     ----------
-    mesh : Mesh or anything :func:`bake` takes
+    mesh : Mesh or anything :func:`bake` takes as a mesh
         Pass the same `Mesh` to several calls: its search tree is built once.
     origins : (..., 3) real
         World positions.

@@ -82,7 +82,7 @@ def sample_surface(mesh: MeshLike, n: int, *, seed: int = 0, progress: Progress 
 
     Parameters
     ----------
-    mesh : Mesh or anything :func:`bake` takes
+    mesh : Mesh or anything :func:`bake` takes as a mesh
         Pass the same `Mesh` to several calls.
     n : int
         Number of points.
@@ -136,7 +136,7 @@ def sample_training(
 
     Parameters
     ----------
-    mesh : Mesh or anything :func:`bake` takes
+    mesh : Mesh or anything :func:`bake` takes as a mesh
         Pass the same `Mesh` to several calls.
     n : int
         Number of points, exactly.
@@ -273,7 +273,7 @@ def thickness(
 
     Parameters
     ----------
-    mesh : Mesh or anything :func:`bake` takes
+    mesh : Mesh or anything :func:`bake` takes as a mesh
         Pass the same `Mesh` to several calls.
     points : (..., 3) real
         Points of the surface, world positions. A point off the surface is replaced by its closest point.

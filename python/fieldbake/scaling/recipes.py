@@ -74,7 +74,7 @@ class Recipe:
 
         Parameters
         ----------
-        mesh : Mesh or anything :func:`fieldbake.bake` takes
+        mesh : Mesh or anything :func:`fieldbake.bake` takes as a mesh
             The mesh.
         **numbers
             Values that replace the values of `numbers`.

@@ -155,7 +155,7 @@ class Field(Viewable, Sectioned):
         Warns
         -----
         SurfaceWarning
-            If more than 5 % of the surface bounds walls thinner than half a voxel.
+            If more than 5 % of the surface bounds walls thinner than a voxel.
 
         Notes
         -----

@@ -14,6 +14,7 @@ from .._core import Shape as CoreShape
 from ..base import checks
 from ..base.errors import ShapeError
 from ..base.former_names import former_names
+from ..meshes.mesh import Mesh
 from ..volumes.volume import Volume, plain_field
 from . import arguments, exact_distance
 from .arguments import Axis
@@ -83,6 +84,11 @@ class Shape(Field):
     def _combined(self, op: str, other: object, *, is_second: bool = False) -> Shape:
         """Combine the shape with another operand. A volume becomes a leaf."""
         operand = operand_of(other)
+        if isinstance(other, Mesh):
+            raise ShapeError(
+                "operand: must be a Shape or a Volume, got a Mesh; fb.boolean combines meshes, and "
+                "fb.volume_shape(fb.bake(mesh)) makes a shape of one"
+            )
         if operand is None:
             return NotImplemented  # type: ignore[no-any-return]
         return combine(op, [operand, self] if is_second else [self, operand])
@@ -97,7 +103,8 @@ class Shape(Field):
         *others : Shape
             Further operands.
         k : float, default 0
-            Width of a smooth joint, world units: the field changes where two operands differ by less. 0 is sharp.
+            Width of a smooth joint, world units: the field changes where two operands differ by less, by up to a
+            quarter of it. So faces of both operands in one plane bulge by a quarter of `k`. 0 is sharp.
         chamfer : float, default 0
             Width of a chamfered joint, world units. 0 is sharp. A joint is smooth or chamfered, and not both.
         resolution : int, default 128
@@ -133,8 +140,8 @@ class Shape(Field):
     def smooth(self, k: float, *, resolution: int = exact_distance.RESOLUTION) -> Shape:
         """Replace the joint of the root operator by a fillet, as in ``(a | b).smooth(0.2)``.
 
-        The field changes only where the two operands differ by less than `k`, world units. `resolution` is as for
-        :meth:`union`.
+        The field changes only where the two operands differ by less than `k`, world units, by up to a quarter of it:
+        faces of both operands in one plane bulge by that. `resolution` is as for :meth:`union`.
         """
         return self._jointed(arguments.number("k", k), 0.0, resolution)
 

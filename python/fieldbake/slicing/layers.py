@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any, TypeVar
 
@@ -41,15 +41,24 @@ MOST_PIXELS, MOST_LAYERS = 1 << 31, 10_000_000
 #: Layers that are kept.
 KEPT = 4
 
+#: A layer in the plane of flat faces is sliced this fraction of the longest side of the mesh outside them. The
+#: rounding of float32 distances is a tenth of it.
+LIFT = 2e-6
+
 
 @dataclass(frozen=True)
 class Solid:
-    """The geometry of slices: its field, its box, and the exact section of a mesh that has one."""
+    """The geometry of slices: its field, its box, the exact section of a mesh that has one, and its flat faces."""
 
     values: Callable[[Array], NDArray[Any]]
     bounds: Callable[[], Array]
     slope: float = math.inf
     cut: MeshCut | None = None
+    #: Heights of the flat faces that are parallel to the layers, sorted, twice their areas, positive if they face up,
+    #: and the distance from them at which a layer is sliced.
+    levels: Array = field(default_factory=lambda: np.empty(0))
+    areas: Array = field(default_factory=lambda: np.empty(0))
+    lift: float = 0.0
 
 
 def _solid(geometry: Shape | GridField | Mesh, device: str) -> Solid:
@@ -65,11 +74,18 @@ def _solid(geometry: Shape | GridField | Mesh, device: str) -> Solid:
     mesh, facts = geometry, geometry.topology()
     faults = facts["flipped_faces"] + facts["duplicate_faces"]
     exact = facts["closed"] and not faults and not mesh._core.self_intersections()
+    lift = LIFT * float((mesh.bounds[1] - mesh.bounds[0]).max())
+    corners = mesh.vertices[mesh.faces[np.ptp(mesh.vertices[:, 2][mesh.faces], axis=1) <= 0.5 * lift]]
+    corners = corners[np.argsort(corners[:, 0, 2], kind="stable")]
+    (ax, ay), (bx, by) = (corners[:, i, :2].T - corners[:, 0, :2].T for i in (1, 2))
     return Solid(
         lambda points: _core.signed_distance(mesh._core, np.ascontiguousarray(points), sign="auto", device=device),
         lambda: mesh.bounds,
         1.0,
         MeshCut(mesh.vertices, mesh.faces, np.array([0.0, 0.0, 1.0])) if exact else None,
+        corners[:, 0, 2],
+        math.copysign(1.0, mesh.volume) * (ax * by - ay * bx),
+        lift,
     )
 
 
@@ -238,8 +254,9 @@ class Slices:
         return checks.integer("index", index, least=0, most=len(self) - 1)
 
     def _frame(self, index: int) -> Array:
-        frame = np.eye(4)
-        frame[2, 3] = self._z[index]
+        frame, height, lift = np.eye(4), self._z[index], self._solid.lift
+        first, end = np.searchsorted(self._solid.levels, [height - 0.5 * lift, height + 0.5 * lift])
+        frame[2, 3] = height + math.copysign(lift, self._solid.areas[first:end].sum()) * (end > first)
         return frame
 
     def _field(self, index: int) -> PlaneField:
@@ -345,7 +362,8 @@ def slices(
     The outlines of a closed mesh with consistent winding, whose faces do not pass through each other, are its exact
     section, in float64. Other outlines are found by marching squares at the corners of the pixels; their vertices lie
     within 1e-3 pixels of the zero level of the field. Features thinner than a pixel may be missed there. A layer in the
-    plane of a flat face has all of it or nothing.
+    plane of a flat face of a mesh is sliced 2e-6 of the longest side of the mesh outside it, since the surface is no
+    part of the inside.
 
     Distances of meshes and shapes are evaluated near the surface only, and the slope of the field proves the side of
     the other pixels.

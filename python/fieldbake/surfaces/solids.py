@@ -330,7 +330,7 @@ def boolean(
         Voxels along the longest side of the box of the result, or along x, y and z.
     smooth : float, default 0
         Width of a fillet along the intersection of the surfaces, world units. The surface changes only where the two
-        distances differ by less than this width.
+        distances differ by less than this width, by up to a quarter of it: faces of both in one plane bulge by that.
     simplify : float, default 0
         As for :func:`solid`.
     progress : bool or callable, optional
