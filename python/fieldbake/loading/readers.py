@@ -73,7 +73,9 @@ def load(path: str | os.PathLike[str]) -> Any:
         except zipfile.BadZipFile as error:
             if file.suffix.lower() == ".npz":
                 raise FormatError(f"{file}: is damaged or not an .npz file ({error})") from None
-            raise FormatError(f"{file}: is not a fieldbake file; load_mesh reads meshes, and load_points points") from None
+            raise FormatError(
+                f"{file}: is not a fieldbake file; load_mesh reads meshes, and load_points points"
+            ) from None
         except (CapacityError, UserWarning):  # A filter may raise the warnings of the package.
             raise
         except MemoryError as error:
