@@ -326,8 +326,8 @@ class Field(Viewable, Sectioned):
             texts of other fields; GLSL is written for WebGL 2 (ES 3.00). Parameters are constants of the text.
         name : str, optional
             Name of the function, only for ``form="function"``; the default is ``"distance_to_shape"``. Another name is
-            also put before the names of all other definitions, so that the texts of several shapes fit into one shader. GLSL
-            begins with ``#version``, which a shader has once: leave it out of the further texts.
+            also put before the names of all other definitions, so that the texts of several shapes fit into one shader.
+            GLSL begins with ``#version``, which a shader has once: leave it out of the further texts.
 
         Returns
         -------
