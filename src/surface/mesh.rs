@@ -296,8 +296,8 @@ impl LevelSurface {
         waiting.retain(|(best, corrected)| {
             let start = vertices[best.id as usize];
             let end = if self.is_near(best.place, corrected.place) { best.place } else { corrected.place };
-            let mut moves = |share| self.moves_to(best.id, start.lerp(end, share), vertices);
-            corrected.is_far || ![0.75, 0.5, 0.25].into_iter().any(|share| moves(share))
+            let moves = |share| self.moves_to(best.id, start.lerp(end, share), vertices);
+            corrected.is_far || ![0.75, 0.5, 0.25].into_iter().any(moves)
         });
         self.move_near(&waiting.into_iter().map(|(best, _)| best).collect::<Vec<_>>(), vertices, crossings, extra);
     }
