@@ -52,7 +52,7 @@ pub struct SurfaceMesh {
     /// Counter-clockwise seen from the side of larger values.
     pub faces: Vec<[u32; 3]>,
     /// Number of vertices that are not at their optimal position, because it lies outside the region around their cell
-    /// in which the surface cannot fold.
+    /// in which the surface cannot fold, or far from the source.
     pub clamped: usize,
 }
 
@@ -257,34 +257,38 @@ impl LevelSurface {
     }
 
     /// Moves clamped vertices to their best place up to a voxel outside their region, one after the other, if that
-    /// folds no quadrilateral; they are then no longer clamped. A ridge or a corner may pass between the edges of the
-    /// grid through a cell that has a patch of its own.
+    /// folds no quadrilateral and the source is close to the place; they are then no longer clamped. A ridge or a
+    /// corner may pass between the edges of the grid through a cell that has a patch of its own. Planes may also meet
+    /// where another part of the source cuts their edge off, as at the crest of a thread.
     fn free_clamped(&self, vertices: &mut Vertices, crossings: &[Crossing], extra: &ExtraPlanes) {
         let Vertices { places: vertices, is_clamped } = vertices;
         let clamped = patches_of(self.cells.cells()).filter(|&(_, id)| is_clamped[id as usize]);
-        let best: Vec<Loose<'_>> = clamped
+        let mut corrected: Vec<Loose<'_>> = clamped
             .map(|(cell, id)| {
                 let [lower, upper] = self.region_beyond(cell);
                 let best = self.planes(cell, id, crossings, extra.of(id)).minimum(lower, upper).point;
                 Loose { cell, id, place: self.in_box(self.world(cell.index, DVec3::ZERO) + best), is_far: false }
             })
             .collect();
-        let mut corrected = best.clone();
+        let best: Vec<DVec3> = corrected.iter().map(|vertex| vertex.place).collect();
         if let Some(nearby) = extra.nearby() {
             let parts = corrected.par_chunks_mut(CHUNK);
             parts.for_each(|vertices| self.correct(vertices, true, crossings, extra, nearby));
         }
-        let mut waiting: Vec<(Loose<'_>, Loose<'_>)> = best.into_iter().zip(corrected).collect();
+        // Vertices at their corrected places, with their best places where the correction is small.
+        let with_best = corrected.into_iter().zip(best).map(|(vertex, best)| {
+            let is_small = self.is_near(best, vertex.place);
+            (vertex, is_small.then_some(best))
+        });
+        let (far, mut waiting): (Vec<_>, Vec<_>) = with_best.partition(|(vertex, _)| vertex.is_far);
         // A vertex that cannot move at first may do so when its neighbours have moved.
         for _ in 0..FREE_PASSES {
             let before = waiting.len();
-            waiting.retain(|(best, corrected)| {
+            waiting.retain(|&(Loose { id, place, .. }, best)| {
                 // Two vertices must not have the same place, as at a corner.
-                let id = best.id;
-                let is_apart = self.is_apart(id, corrected.place, vertices);
-                let has_moved = !corrected.is_far
-                    && ((is_apart && self.moves_to(id, corrected.place, vertices))
-                        || (self.is_near(best.place, corrected.place) && self.moves_to(id, best.place, vertices)));
+                let is_apart = self.is_apart(id, place, vertices);
+                let has_moved = (is_apart && self.moves_to(id, place, vertices))
+                    || best.is_some_and(|best| self.moves_to(id, best, vertices));
                 is_clamped[id as usize] = !has_moved;
                 !has_moved
             });
@@ -292,14 +296,13 @@ impl LevelSurface {
                 break;
             }
         }
-        // The error decreases all the way to the best place.
-        waiting.retain(|(best, corrected)| {
-            let start = vertices[best.id as usize];
-            let end = if self.is_near(best.place, corrected.place) { best.place } else { corrected.place };
-            let moves = |share| self.moves_to(best.id, start.lerp(end, share), vertices);
-            corrected.is_far || ![0.75, 0.5, 0.25].into_iter().any(moves)
+        waiting.retain(|&(Loose { id, place, .. }, best)| {
+            // The error decreases all the way to the best place.
+            let (start, end) = (vertices[id as usize], best.unwrap_or(place));
+            ![0.75, 0.5, 0.25].into_iter().any(|share| self.moves_to(id, start.lerp(end, share), vertices))
         });
-        self.move_near(&waiting.into_iter().map(|(best, _)| best).collect::<Vec<_>>(), vertices, crossings, extra);
+        let staying: Vec<Loose<'_>> = far.into_iter().chain(waiting).map(|(vertex, _)| vertex).collect();
+        self.move_near(&staying, vertices, crossings, extra);
     }
 
     /// Moves clamped vertices to the best places of the planes at their crossings, since planes beyond the cell would

@@ -162,8 +162,6 @@ def test_a_missing_file_and_wrong_arguments(folder):
         fb.Assembly.from_urdf(folder / "robot.urdf", elements="both")
     with pytest.raises(fb.ArgumentError, match=r"packages: must be a mapping of name to folder, got \['shop'\]"):
         fb.Assembly.from_urdf(folder / "robot.urdf", packages=["shop"])
-    with pytest.warns(UserWarning, match="no body has visual geometry"):
-        assert fb.Assembly.from_urdf(folder / "robot.urdf", elements="visual").report.geometries == 0
 
 
 MJCF = "<mujoco><worldbody>{}</worldbody></mujoco>"

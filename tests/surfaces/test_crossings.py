@@ -77,6 +77,10 @@ def test_walls_thinner_than_a_voxel_are_a_warning():
     assert mesh.report.warnings == (str(caught[0].message),)
     assert lattice.to_mesh(128).report.warnings == ()
 
+    for voxels, warnings in ((0.5, 1), (0.8, 1), (1.2, 0)):
+        plate = fb.box((4, 4, voxels * 0.1)).rotate("x", 30).rotate("z", 20)
+        assert len(plate.to_mesh(voxel_size=0.1).report.warnings) == warnings
+
 
 @pytest.mark.parametrize("wall", [0.5, 1.2, 3])
 def test_shells_and_booleans_do_not_cross_themselves(wall):

@@ -121,8 +121,8 @@ def check(
     """Report whether meshes are closed, oriented and free of self-intersections, and how thin they are.
 
     The thinnest part is the shortest of 20,000 perpendicular paths from the surface to a face that is turned by at
-    least 120 degrees, world units. It is near 0 at an edge sharper than 60 degrees. The file counts its vertices: an
-    .stl has three for each face.
+    least 120 degrees, world units. It is near 0 at an edge sharper than 60 degrees. Vertices are counted as the
+    file stores them: an .stl has three for each face.
     """
     for path in meshes:
         facts = facts_of(fb.load_mesh(path))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, TypeVar
 
@@ -48,17 +48,14 @@ LIFT = 2e-6
 
 @dataclass(frozen=True)
 class Solid:
-    """The geometry of slices: its field, its box, the exact section of a mesh that has one, and its flat faces."""
+    """The geometry of slices: its field, its box, and the exact section of a mesh that has one."""
 
     values: Callable[[Array], NDArray[Any]]
     bounds: Callable[[], Array]
     slope: float = math.inf
     cut: MeshCut | None = None
-    #: Heights of the flat faces that are parallel to the layers, sorted, twice their areas, positive if they face up,
-    #: and the distance from them at which a layer is sliced.
-    levels: Array = field(default_factory=lambda: np.empty(0))
-    areas: Array = field(default_factory=lambda: np.empty(0))
-    lift: float = 0.0
+    #: The height at which a layer is sliced, from the height of its middle.
+    height: Callable[[float], float] = float
 
 
 def _solid(geometry: Shape | GridField | Mesh, device: str) -> Solid:
@@ -74,19 +71,30 @@ def _solid(geometry: Shape | GridField | Mesh, device: str) -> Solid:
     mesh, facts = geometry, geometry.topology()
     faults = facts["flipped_faces"] + facts["duplicate_faces"]
     exact = facts["closed"] and not faults and not mesh._core.self_intersections()
-    lift = LIFT * float((mesh.bounds[1] - mesh.bounds[0]).max())
-    corners = mesh.vertices[mesh.faces[np.ptp(mesh.vertices[:, 2][mesh.faces], axis=1) <= 0.5 * lift]]
-    corners = corners[np.argsort(corners[:, 0, 2], kind="stable")]
-    (ax, ay), (bx, by) = (corners[:, i, :2].T - corners[:, 0, :2].T for i in (1, 2))
     return Solid(
         lambda points: _core.signed_distance(mesh._core, np.ascontiguousarray(points), sign="auto", device=device),
         lambda: mesh.bounds,
         1.0,
         MeshCut(mesh.vertices, mesh.faces, np.array([0.0, 0.0, 1.0])) if exact else None,
-        corners[:, 0, 2],
-        math.copysign(1.0, mesh.volume) * (ax * by - ay * bx),
-        lift,
+        _outside_of_flat_faces(mesh),
     )
+
+
+def _outside_of_flat_faces(mesh: Mesh) -> Callable[[float], float]:
+    """Make the function that moves a height out of the flat faces in its plane, to their side with the larger area."""
+    lift = LIFT * float((mesh.bounds[1] - mesh.bounds[0]).max())
+    corners = mesh.vertices[mesh.faces[np.ptp(mesh.vertices[:, 2][mesh.faces], axis=1) <= 0.5 * lift]]
+    corners = corners[np.argsort(corners[:, 0, 2], kind="stable")]
+    levels = corners[:, 0, 2]
+    (ax, ay), (bx, by) = (corners[:, i, :2].T - corners[:, 0, :2].T for i in (1, 2))
+    # Twice the areas, positive if they face up.
+    areas = math.copysign(1.0, mesh.volume) * (ax * by - ay * bx)
+
+    def height(middle: float) -> float:
+        first, end = np.searchsorted(levels, [middle - 0.5 * lift, middle + 0.5 * lift])
+        return middle if first == end else middle + math.copysign(lift, areas[first:end].sum())
+
+    return height
 
 
 class Slices:
@@ -254,9 +262,8 @@ class Slices:
         return checks.integer("index", index, least=0, most=len(self) - 1)
 
     def _frame(self, index: int) -> Array:
-        frame, height, lift = np.eye(4), self._z[index], self._solid.lift
-        first, end = np.searchsorted(self._solid.levels, [height - 0.5 * lift, height + 0.5 * lift])
-        frame[2, 3] = height + math.copysign(lift, self._solid.areas[first:end].sum()) * (end > first)
+        frame = np.eye(4)
+        frame[2, 3] = self._solid.height(self._z[index])
         return frame
 
     def _field(self, index: int) -> PlaneField:
