@@ -270,7 +270,10 @@ SMOOTH = after_first_picture("""
 
 @pytest.mark.slow
 def test_pictures_at_rest_are_smooth(tmp_path: Path) -> None:
-    mesh = fb.Scene([fb.Instance(fb.models.torus_knot(segments=24, sides=5), resolution=32)])
+    # The view has shadows of fields, and the picture has shadows of triangles. A light in the eye has no visible ones
+    # but for the error of the field, whose voxels are finer than pixels.
+    knotted = fb.Instance(fb.models.torus_knot(segments=96, sides=16), resolution=128)
+    mesh = fb.Scene([knotted], lights=[fb.PointLight(camera().eye)])
     jobs = []
     for name, geometry, names in (("field", knot(), [""]), ("mesh", mesh, ["mesh"])):
         page = tmp_path / f"{name}.html"
@@ -282,8 +285,8 @@ def test_pictures_at_rest_are_smooth(tmp_path: Path) -> None:
         assert result.errors == []
         first, smooth = (decoded(text)[..., :3].astype(float) for text in result.value)
         # 64 samples for each pixel, averaged in sRGB as the view averages.
-        large = draw(geometry, camera(), size=(8 * SIZE[0], 8 * SIZE[1]), shadows="hard", device="cpu")
-        samples = large.image[..., :3].astype(float).reshape(SIZE[1], 8, SIZE[0], 8, 3)
+        large = draw(geometry, camera(), size=(8 * SIZE[0], 8 * SIZE[1]), shadows="hard", device="cpu").image
+        samples = large[..., :3].astype(float).reshape(SIZE[1], 8, SIZE[0], 8, 3)
         truth = samples.mean(axis=(1, 3))
         if draw is fb.raymarch:
             # The first picture has one sample in the centre of each pixel.
@@ -291,16 +294,12 @@ def test_pictures_at_rest_are_smooth(tmp_path: Path) -> None:
             assert (np.abs(first - center[..., :3]) <= 2).mean() >= 0.995
         else:
             first = draw(geometry, camera(), size=SIZE, shadows="hard", device="cpu").image[..., :3].astype(float)
-        edges = np.ptp(samples, axis=(1, 3)).max(axis=-1) > 32
-        covered = np.isfinite(large.depth).reshape(SIZE[1], 8, SIZE[0], 8).mean(axis=(1, 3))
-        outline = (covered > 0) & (covered < 1)
         # An edge divides 16 well spread samples with an error of about 1/16 of its contrast, and one sample with one of
-        # about 1/2. Half of that gain is left for edges that are thinner than a pixel. Within the outline of a mesh,
-        # the view has the shadow edges of a field, and the truth has the shadow edges of triangles.
-        for pixels, share in ((edges, 0.25 if draw is fb.raymarch else 0.6), (outline, 0.25)):
-            assert pixels.sum() > 100
-            before, after = (np.sqrt(((found - truth)[pixels] ** 2).mean()) for found in (first, smooth))
-            assert after <= share * before, (after, before)
+        # about 1/2. Half of that gain is left for edges that are thinner than a pixel.
+        edges = np.ptp(samples, axis=(1, 3)).max(axis=-1) > 32
+        assert edges.sum() > 100
+        before, after = (np.sqrt(((found - truth)[edges] ** 2).mean()) for found in (first, smooth))
+        assert after <= 0.25 * before, (after, before)
 
 
 def check_modes(result: Visit) -> None:
