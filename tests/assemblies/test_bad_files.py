@@ -278,3 +278,13 @@ def test_a_file_without_the_chosen_geometry_is_a_warning(tmp_path):
 
     assert robot.distance([(3, 0, 0)]) == np.inf
     assert fb.Assembly.from_urdf(tmp_path / "robot.urdf", elements="visual").distance([(3, 0, 0)]) == pytest.approx(2)
+
+
+def test_a_model_without_geoms_that_collide_is_a_warning(tmp_path):
+    pytest.importorskip("mujoco")
+    geom = '<geom type="sphere" size="1" contype="0" conaffinity="0"/>'
+    (tmp_path / "robot.xml").write_text(MJCF.format(f"<body>{geom}</body>"))
+    with pytest.warns(UserWarning, match=r"elements: no body has collision geometry"):
+        robot = fb.Assembly.from_mjcf(tmp_path / "robot.xml")
+
+    assert robot.distance([(3, 0, 0)]) == np.inf
