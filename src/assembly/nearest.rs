@@ -224,8 +224,7 @@ impl<'a> State<'a> {
             let posed = self.posed.iter().find(|posed| posed.element == best.element as usize);
             if let Some(posed) = posed {
                 let local = posed.place.inverse_point(p);
-                let (_, gradient) = shape.distance_and_gradient(local, &mut self.scratch);
-                let gradient = posed.place.rotation * gradient;
+                let gradient = posed.place.rotation * shape.tangent(local, &mut self.scratch).gradient;
                 best.gradient = gradient.to_array();
                 best.point = (p - best.distance * gradient).to_array();
             }

@@ -3,7 +3,7 @@
 use super::form::Form;
 use super::{Geometry, Similarity};
 use crate::csg::model::token::Token;
-use crate::csg::parts::closed_form::Scratch;
+use crate::csg::parts::closed_form::{Scratch, Tangent};
 use crate::csg::tree::primitive::Primitive;
 use crate::geometry::closest_point_on_triangle;
 use crate::query::Search;
@@ -31,8 +31,19 @@ pub(super) struct Solid<'a> {
 pub(super) struct Value {
     pub(super) distance: f64,
     pub(super) gradient: DVec3,
+    /// [`Tangent::error`]; zero for meshes.
+    error: f64,
     /// The nearest face, world positions.
     face: Option<[DVec3; 3]>,
+}
+
+impl Value {
+    const NONE: Self = Self { distance: f64::INFINITY, gradient: DVec3::X, error: 0.0, face: None };
+
+    /// The value at `x` of the tangent plane at `at`, which a convex distance exceeds.
+    fn tangent(&self, at: DVec3, x: DVec3) -> f64 {
+        self.distance - self.error + self.gradient.dot(x - at)
+    }
 }
 
 impl<'a> Solid<'a> {
@@ -74,8 +85,8 @@ impl<'a> Solid<'a> {
         let local = self.place.inverse_point(p);
         match (self.geometry, &mut self.search) {
             (Geometry::Shape(shape), _) => {
-                let (distance, gradient) = shape.distance_and_gradient(local, &mut self.scratch);
-                Value { distance, gradient: self.place.rotation * gradient, face: None }
+                let Tangent { distance, gradient, error } = shape.tangent(local, &mut self.scratch);
+                Value { distance, gradient: self.place.rotation * gradient, error, face: None }
             }
             (Geometry::Mesh(mesh), Some(search)) => match search.nearest(local, f64::INFINITY) {
                 Some(found) => {
@@ -84,12 +95,13 @@ impl<'a> Solid<'a> {
                     Value {
                         distance: found.distance,
                         gradient: self.place.rotation * found.gradient,
+                        error: 0.0,
                         face: Some(mesh.faces()[found.face as usize].map(corner)),
                     }
                 }
-                None => Value { distance: f64::INFINITY, gradient: DVec3::X, face: None },
+                None => Value::NONE,
             },
-            _ => Value { distance: f64::INFINITY, gradient: DVec3::X, face: None },
+            _ => Value::NONE,
         }
     }
 
@@ -122,7 +134,7 @@ impl<'a> Solid<'a> {
         let radius = center.distance(corners[0]);
         let has_tangents = self.has_tangents();
         match value.face {
-            _ if has_tangents => corners.map(|x| value.distance + value.gradient.dot(x - center)),
+            _ if has_tangents => corners.map(|x| value.tangent(center, x)),
             Some(face) if value.distance <= radius => {
                 corners.map(|x| -closest_point_on_triangle(x, face).point.distance(x))
             }
@@ -145,7 +157,7 @@ impl<'a> Solid<'a> {
         let found = self.value(beyond);
         let has_tangents = self.has_tangents();
         match found.face {
-            _ if has_tangents => corners.map(|x| found.distance + found.gradient.dot(x - beyond)),
+            _ if has_tangents => corners.map(|x| found.tangent(beyond, x)),
             Some(face) => corners.map(|x| -closest_point_on_triangle(x, face).point.distance(x)),
             None => [f64::NEG_INFINITY; 8],
         }

@@ -280,6 +280,8 @@ fn draw(
     let (last, light_rays) = match last.filter(|last| last.surfaces_of == surfaces) {
         None => ((None, None), [0; 2]),
         Some(last) if last.light_of == light_of => ((Some(last.buffer), Some(last.light)), last.rays),
+        // The passes of the samples have overwritten the surfaces of the centres on the device.
+        Some(_) if device.is_some() && sides > 1 => ((None, None), [0; 2]),
         Some(last) => ((Some(last.buffer), None), [0; 2]),
     };
     let reused = [last.0.is_some(), last.1.is_some()];

@@ -231,6 +231,29 @@ def test_overlaps_and_other_pairs_are_those_of_brute_force(seed):
     assert truth - step <= distance
 
 
+@pytest.mark.parametrize("other", [fb.sphere(0.5).translate((0, 0, 0.3)), fb.cylinder(0.5, 1).translate((0, 0, 0.3))])
+def test_a_cone_on_the_axis_of_another_solid_has_its_depth(other):
+    """Several points of the cone are nearest to its axis, so the distance has no gradient there."""
+    cone = fb.cone(0.3, 4)
+    sine = 0.3 / np.hypot(0.3, 4)
+    # The depths in the cone and above the lower end of the other solid are equal at this height.
+    height = (2 * sine - 0.2) / (1 + sine)
+    for pair in ((cone, other), (other, cone)):
+        found = fb.clearance(*pair)
+        assert found.distances[0] - found.errors[0] <= -2 * (0.2 + height) <= found.distances[0] + 1e-9
+        assert found.errors[0] <= 1e-3 * abs(found.distances[0])
+
+
+def test_a_ball_beside_an_edge_of_a_pyramid_has_its_distance():
+    """The point nearest to it lies on the edge from (0.5, 0.5, -0.5) to the top, where |x| = |y|."""
+    start, edge = np.array([0.5, 0.5, -0.5]), np.array([-0.5, -0.5, 1.0])
+    center = np.array([0.9, 0.9, 0.2])
+    foot = start + np.dot(center - start, edge) / np.dot(edge, edge) * edge
+    found = fb.clearance(fb.pyramid(1, 1), fb.sphere(0.1).translate(center))
+    assert found.distances[0] == pytest.approx(np.linalg.norm(center - foot) - 0.1, rel=1e-9)
+    assert found.points_a[0] == pytest.approx(foot, abs=1e-9)
+
+
 def test_the_depth_is_at_most_that_of_the_way_out(random):
     coal = pytest.importorskip("coal")
     for _ in range(40):

@@ -195,6 +195,31 @@ def test_joint_gradients_are_those_of_differences(arm, random):
     assert compared > 7_500
 
 
+@pytest.mark.parametrize(
+    ("shape", "point"),
+    [
+        (fb.torus(0.5, 0.02), (0, 0, 0.1)),
+        (fb.torus(0.5, 0.1), (0.5, 0, 0)),
+        (fb.cone(0.5, 1), (0, 0, 0.1)),
+        (fb.truncated_cone(0.5, 0.2, 1), (0, 0, 0.1)),
+        (fb.rounded_cone(0.4, 0.2, 2), (0, 0, 0.1)),
+        (fb.ellipsoid((0.5, 0.4, 0.3)), (0.05, 0, 0)),
+        (fb.pyramid(1, 1), (0.9, 0.9, 0.2)),
+        (fb.sphere(1), (0, 0, 0)),
+        (fb.box(1), (0, 0, 0)),
+    ],
+)
+@pytest.mark.parametrize("offset", [0, 1e5])
+def test_a_point_with_several_nearest_points_has_one_of_them(shape, point, offset):
+    away = np.array([offset, 0, -offset])
+    found = fb.Assembly({"body": shape.translate(away)}).query(np.add(point, away))
+    distance = abs(shape.distance(point, dtype="float64"))
+    scale = 1 + offset
+    assert np.linalg.norm(found.points - away - point) == pytest.approx(distance, abs=1e-9 * scale)
+    assert np.abs(shape.distance(found.points - away, dtype="float64")) <= 1e-8 * scale
+    assert np.linalg.norm(found.gradients) == pytest.approx(1, abs=1e-12)
+
+
 def test_shapes_and_volumes_become_closed_meshes():
     hollow = fb.sphere(1) - fb.sphere(0.5)
     robot = fb.Assembly({"shape": hollow, "volume": fb.bake(fb.sphere(0.5), 32)}, shape_resolution=64)

@@ -238,6 +238,13 @@ def test_one_row_is_a_bake():
     assert volume.report.segments == 1
 
 
+@pytest.mark.parametrize("resolution", [(40, 40, 40), (120, 31, 26)])
+def test_oblong_voxels_leave_space_for_a_slender_body(resolution):
+    rod = fb.capsule(0.05, 1)
+    swept = fb.sweep(rod, [np.eye(4)], resolution)
+    assert (swept.sample(rod.to_mesh(64).vertices) < 0).all()
+
+
 def test_the_proof_costs_a_tenth_of_uniform_steps(random):
     mesh = fb.models.gear(teeth=9)
     motion = random_poses(4, random)

@@ -150,6 +150,17 @@ def test_frames_with_several_samples_for_a_pixel_reuse_its_centre(scene) -> None
     assert_equal(first, second)
 
 
+@pytest.mark.parametrize("samples", [4, 16])
+def test_other_lights_on_frames_with_several_samples_are_new_light(scene, device, samples) -> None:
+    """The passes of the samples overwrite the surfaces of the centres on a device."""
+    lights = [fb.PointLight((2, 3, 1), radius=0.2)]
+    renderer = fb.Renderer(scene, size=SIZE, device=device, samples=samples)
+    renderer.frame(CAMERA)
+    frame = renderer.frame(CAMERA, lights)
+    assert frame.report["reused"] == (["primary"] if device == "cpu" else [])
+    assert_equal(frame, fb.Renderer(scene, size=SIZE, device=device, samples=samples).frame(CAMERA, lights))
+
+
 def test_defaults_are_those_of_the_scene(instances) -> None:
     plain, other = fb.Scene(instances), fb.Camera((0, 6, 1), (0, 0, 0))
     renderer = fb.Renderer(plain, size=SIZE, device="cpu", ambient_occlusion=True)

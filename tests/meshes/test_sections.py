@@ -131,6 +131,25 @@ def test_faces_and_vertices_in_the_plane_take_one_side():
             assert shapely.Polygon(section.polygons[0]).is_valid
 
 
+def test_a_flat_face_of_a_turned_mesh_takes_one_side(random):
+    corners, faces = meshes.box((-1, -0.5, -0.25), (1, 0.5, 0.25))
+    for turn in np.linalg.qr(random.normal(size=(50, 3, 3)))[0]:
+        turn = turn * np.sign(np.linalg.det(turn))
+        solid = fb.Mesh(corners @ turn.T, faces)
+        for axis, size in zip(np.eye(3), (0.5, 1, 2), strict=True):
+            for normal in (turn @ axis, -turn @ axis):
+                place = np.abs(axis * (1, 0.5, 0.25)).sum() * normal
+                assert solid.section(place, normal).area == pytest.approx(size)
+                assert solid.section(-place, normal).area == 0
+
+
+@pytest.mark.parametrize("resolution", [32, 64])
+def test_a_section_in_the_tread_of_a_step_has_the_riser_as_its_border(resolution):
+    """The field of the shape is zero on the whole tread."""
+    step = fb.box((2, 2, 1)) | fb.box((1, 1, 2))
+    assert step.section((0, 0, 0.5), "z", resolution=resolution).area == pytest.approx(1, abs=1e-5)
+
+
 def test_bodies_that_touch_at_an_edge_or_a_corner_have_simple_loops():
     edge = meshes.join(meshes.box(), meshes.box((1, 1, -1), (3, 3, 1)))
     section = fb.Mesh(*edge).section((0, 0, 0.1), "z")

@@ -187,6 +187,27 @@ def test_an_open_mesh_is_closed_and_warns():
     assert layers.areas[0] == pytest.approx(4, rel=1e-3)
 
 
+def test_parts_of_a_shape_that_share_a_face_have_a_layer_there():
+    stack = fb.box((2, 2, 1)).translate((0, 0, 0.5)) | fb.box((1, 1, 1)).translate((0, 0, 1.5))
+    layers = fb.slices(stack, 0.4, pixel=0.05)
+    assert layers.areas.tolist() == pytest.approx([4, 4, 1, 1, 1], rel=1e-5)
+    assert (layers.image(2) >= 128).sum() == 400
+
+
+def test_a_layer_between_the_sides_of_a_foil_is_inside():
+    foil = fb.slices(fb.Mesh(*meshes.box((-5e3, -0.5, 0), (5e3, 0.5, 0.01))), 0.002, pixel=(50, 0.05))
+    assert foil.areas.tolist() == pytest.approx([1e4] * 5)
+    assert (foil.image(2) >= 128).sum() == 200 * 20
+
+
+@pytest.mark.parametrize("solid", [fb.bake(fb.box((1, 1, 0.6)), 40), fb.box((1, 1, 0.6))])
+def test_the_image_and_the_outlines_agree_in_a_flat_face(solid):
+    for height in (0.3, 0.3 - 1e-10):
+        flat = fb.slices(solid, 0.1, pixel=0.05, bounds=[(-1, -1, height - 0.05), (1, 1, height + 0.05)])
+        assert flat.areas.tolist() == [0]
+        assert flat.image(0).max() < 128
+
+
 def test_a_layer_in_a_flat_face_is_sliced_outside_it():
     """The boxes meet at z = 0.5, the middle of the first layer, and the upper one ends in the middle of the last."""
     cubes = meshes.join(meshes.box((0, 0, 0), (2, 2, 0.5)), meshes.box((0.5, 0.5, 0.5), (1.5, 1.5, 2.5)))

@@ -29,6 +29,9 @@ from ..volumes.sparse import SparseVolume, sparse_options
 #: Voxels along the longest side, unless the caller chooses.
 SWEEP_RESOLUTION = 128
 
+#: Largest number of grids that are tried for a swept solid. Each has the border that the last one lacked.
+GRIDS = 24
+
 #: Steps of float32 of the box by which samples lie below the bound that contains the solid: zero counts as outside.
 ROUNDING = 4
 
@@ -232,7 +235,7 @@ def _grid(
         make_grid, solid, resolution, voxel_size=voxel_size, bounds=box, margin=0.0, default=SWEEP_RESOLUTION
     )
     border = np.ones(3)
-    for _ in range(8):
+    for _ in range(GRIDS):
         grid = check_count(make(border=border))
         spacing = np.array(grid.spacing)
         # The samples of the outer half voxel repeat those at the centres of voxels.
@@ -242,6 +245,10 @@ def _grid(
         if box is not None or (free >= needed).all():
             return grid
         border = 1.01 * needed
+        if np.ptp(spacing) > 0:
+            # Oblong voxels grow with the border, each side by its own factor, so the border is kept as a length.
+            reach = border * spacing
+            border = reach * grid.shape / (solid[1] - solid[0] + 2 * reach)
     raise ArgumentError(
         f"resolution: {max(grid.shape)} voxels leave no space for the surface, which lies up to {needed.max():.1f} "
         "voxels outside the solid; use more"

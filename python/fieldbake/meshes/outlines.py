@@ -68,6 +68,11 @@ class PlaneField:
             found[rows] = self.values(self.world(x[rows], y[rows]))
         return found
 
+    def rounding(self, x: Array, y: Array) -> float:
+        """The magnitude below which values at the nodes of a grid count as outside."""
+        steps = [float(np.diff(axis).min()) for axis in (x, y) if len(axis) > 1]
+        return min([self.noise, *(STRAY * step for step in steps)])
+
     def samples(self, x: Array, y: Array, reach: float = 0.0) -> NDArray[np.float32]:
         """Values at the nodes of a grid, (len(y), len(x)).
 
@@ -113,7 +118,7 @@ class PlaneField:
         become vertices: L. Kobbelt et al., "Feature Sensitive Surface Extraction from Volume Data" (2001), with the
         directions of the neighbouring segments in place of gradients.
         """
-        noise = min(self.noise, STRAY * min(float(np.diff(x).min()), float(np.diff(y).min())))
+        noise = self.rounding(x, y)
         # A ring of outside nodes at the same positions as the border.
         values = np.pad(self.samples(x, y, noise), 1, constant_values=1.0)
         x, y = np.pad(x, 1, mode="edge"), np.pad(y, 1, mode="edge")
@@ -130,7 +135,7 @@ class PlaneField:
         apart = np.zeros(len(code), np.bool_)
         middle = row[saddle], column[saddle]
         apart[saddle] = ~(
-            self.at((x[middle[1]] + x[middle[1] + 1]) / 2, (y[middle[0]] + y[middle[0] + 1]) / 2) < -self.noise
+            self.at((x[middle[1]] + x[middle[1] + 1]) / 2, (y[middle[0]] + y[middle[0] + 1]) / 2) < -noise
         )
         starts: list[Rows] = []
         ends: list[Rows] = []
@@ -147,9 +152,9 @@ class PlaneField:
         start, end, cell = (np.concatenate(lists) for lists in (starts, ends, cells))
         following = successors(start, end)
         assert following is not None  # each crossed edge has one segment on both sides
-        points = self._vertices(start, values, x, y)
+        points = self._vertices(start, values, x, y, noise)
         places = np.stack([row[cell], column[cell]], axis=1)
-        corners = self._corners(points, following, np.where(saddle[cell, None], -1, places), grid, x, y)
+        corners = self._corners(points, following, np.where(saddle[cell, None], -1, places), grid, x, y, noise)
         both = np.stack([points, corners], axis=1)
         rings: list[Array] = []
         for loop in cycles(following):
@@ -157,7 +162,7 @@ class PlaneField:
             rings.extend(simple(ring[np.isfinite(ring[:, 0])]))
         return rings
 
-    def _vertices(self, keys: Rows, values: NDArray[np.float32], x: Array, y: Array) -> Array:
+    def _vertices(self, keys: Rows, values: NDArray[np.float32], x: Array, y: Array, noise: float) -> Array:
         """Roots of the field on crossed edges, (n, 2)."""
         first = np.stack(np.divmod(keys >> 1, len(x)))
         second = first + np.stack([keys & 1, 1 - (keys & 1)])
@@ -166,20 +171,20 @@ class PlaneField:
         shares = np.clip(low / (low - high), 0.0, 1.0)
         # Edges to the ring of outside nodes have no length.
         rows = np.flatnonzero((starts != ends).any(axis=1))
-        exact = self._roots(starts[rows], ends[rows], shares[rows])
+        exact = self._roots(starts[rows], ends[rows], shares[rows], noise)
         shares[rows] = np.where(np.isfinite(exact), exact, shares[rows])
         shares = np.where(shares < SNAP, 0.0, np.where(shares > 1 - SNAP, 1.0, shares))[:, None]
         found: Array = starts * (1 - shares) + ends * shares
         return found
 
-    def _roots(self, starts: Array, ends: Array, shares: Array) -> Array:
+    def _roots(self, starts: Array, ends: Array, shares: Array, noise: float) -> Array:
         """Fractions of segments of the plane before the zero of the field; nan where the ends have the same side."""
-        found, exists = roots(self.values, self.world(*starts.T), self.world(*ends.T), shares)
+        found, exists = roots(self.values, self.world(*starts.T), self.world(*ends.T), shares, noise)
         found[~exists] = np.nan
         return found
 
     def _corners(
-        self, points: Array, following: Rows, cells: Rows, code: NDArray[np.uint8], x: Array, y: Array
+        self, points: Array, following: Rows, cells: Rows, code: NDArray[np.uint8], x: Array, y: Array, noise: float
     ) -> Array:
         """Corners of the outline between each point and its follower, (n, 2); nan where the outline is smooth.
 
@@ -203,7 +208,7 @@ class PlaneField:
             np.einsum("ij,ij->i", ahead, before) > 0
         )
         rows, middle, beyond = rows[near], middle[near], beyond[near]
-        share = self._roots(middle, beyond, np.full(len(rows), 0.8))
+        share = self._roots(middle, beyond, np.full(len(rows), 0.8), noise)
         places = middle + np.nan_to_num(share)[:, None] * (beyond - middle)
         # A corner at the border of its cell, up to rounding, belongs to the cell.
         row, column = np.maximum(cells[rows], 0).T

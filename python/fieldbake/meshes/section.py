@@ -24,6 +24,10 @@ from .outlines import NOISE, PlaneField, cut_by_box
 #: Offset of the first node of a grid from the border, cells. Faces along the border then lie between nodes.
 SHIFT = 0.62
 
+#: Heights of vertices closer to the plane count as above it, as a fraction of the largest coordinate: the rounding of
+#: float64 in turned positions and in products with the normal.
+ROUNDING = 16 * float(np.finfo(np.float64).eps)
+
 #: Longest side of the picture in notebooks, pixels.
 PICTURE = 320
 
@@ -234,10 +238,12 @@ class MeshCut:
         self._heights = _products(self.vertices, self.normal)
         corners = self._heights[self.faces]
         self._low, self._high = corners.min(axis=1), corners.max(axis=1)
+        self._rounding = ROUNDING * float(np.abs(self.vertices).max(initial=0.0))
 
     def loops(self, frame: Array) -> tuple[list[Array], list[Array], list[str]]:
         """Closed loops and open chains, (m, 2) each, in the plane of a frame, and warnings."""
-        level = _products(frame[None, :3, 3], self.normal)[0]
+        # Vertices of a face in the plane lie on both sides of it by rounding. They count as above.
+        level = _products(frame[None, :3, 3], self.normal)[0] - self._rounding
         faces = self.faces[(self._low < level) & (self._high >= level)].astype(np.int64)
         if not len(faces):
             return [], [], []

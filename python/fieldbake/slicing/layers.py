@@ -31,6 +31,7 @@ from ..volumes.volume import Volume, plain_field
 from .files import ENDINGS, write_images, write_outlines
 
 Result = TypeVar("Result")
+Field = Callable[[Array], NDArray[Any]]
 
 #: Fraction of a layer or pixel by which the box may exceed a whole number of them: the rounding of a division.
 WHOLE = 1e-9
@@ -45,12 +46,15 @@ KEPT = 4
 #: rounding of float32 distances is a tenth of it.
 LIFT = 2e-6
 
+#: Flat faces within this fraction of the lift lie in one plane: the rounding of float64 positions.
+SAME = 1e-3
+
 
 @dataclass(frozen=True)
 class Solid:
     """The geometry of slices: its field, its box, and the exact section of a mesh that has one."""
 
-    values: Callable[[Array], NDArray[Any]]
+    values: Field
     bounds: Callable[[], Array]
     slope: float = math.inf
     cut: MeshCut | None = None
@@ -81,7 +85,10 @@ def _solid(geometry: Shape | GridField | Mesh, device: str) -> Solid:
 
 
 def _outside_of_flat_faces(mesh: Mesh) -> Callable[[float], float]:
-    """Make the function that moves a height out of the flat faces in its plane, to their side with the larger area."""
+    """Make the function that moves a height out of the flat faces in its plane, to their side with the larger area.
+
+    A height between two sides of a thin wall, or of a gap, stays.
+    """
     lift = LIFT * float((mesh.bounds[1] - mesh.bounds[0]).max())
     corners = mesh.vertices[mesh.faces[np.ptp(mesh.vertices[:, 2][mesh.faces], axis=1) <= 0.5 * lift]]
     corners = corners[np.argsort(corners[:, 0, 2], kind="stable")]
@@ -91,10 +98,26 @@ def _outside_of_flat_faces(mesh: Mesh) -> Callable[[float], float]:
     areas = math.copysign(1.0, mesh.volume) * (ax * by - ay * bx)
 
     def height(middle: float) -> float:
-        first, end = np.searchsorted(levels, [middle - 0.5 * lift, middle + 0.5 * lift])
-        return middle if first == end else middle + math.copysign(lift, areas[first:end].sum())
+        first, below, above, end = np.searchsorted(levels, middle + lift * np.array([-0.5, -SAME, SAME, 0.5]))
+        is_between = areas[first:below].sum() * areas[above:end].sum() < 0
+        return middle if first == end or is_between else middle + math.copysign(lift, areas[first:end].sum())
 
     return height
+
+
+def _without_common_faces(values: Field, noise: float, lift: float) -> Field:
+    """The field of a solid whose parts touch in faces of zeros: points that are inside `lift` above and below, too."""
+
+    def joined(points: Array) -> NDArray[Any]:
+        found = values(points)
+        rows = np.flatnonzero(np.abs(found) <= noise)
+        if len(rows):
+            step = np.array([0.0, 0.0, lift])
+            beside = np.maximum(values(points[rows] - step), values(points[rows] + step))
+            found[rows] = np.where(beside < -noise, beside, found[rows])
+        return found
+
+    return joined
 
 
 class Slices:
@@ -270,8 +293,11 @@ class Slices:
         # Samples, masks and the image take about 12 bytes a pixel.
         what = f"a layer of {self._size[0]} x {self._size[1]} pixels"
         _core.require_memory(what, 12 * self._size[0] * self._size[1], "use larger pixels")
-        noise = NOISE * float((self._bounds[1] - self._bounds[0]).max())
-        return PlaneField(self._solid.values, self._frame(index), self._solid.slope, noise)
+        longest = float((self._bounds[1] - self._bounds[0]).max())
+        values, noise = self._solid.values, NOISE * longest
+        if isinstance(self._geometry, Shape):
+            values = _without_common_faces(values, noise, LIFT * longest)
+        return PlaneField(values, self._frame(index), self._solid.slope, noise)
 
     def _places(self, offset: float, more: int) -> tuple[Array, Array]:
         x, y = (
@@ -281,8 +307,9 @@ class Slices:
 
     def _draw(self, index: int) -> NDArray[np.uint8]:
         side = math.sqrt(self._pixel[0] * self._pixel[1])
-        distances = self._field(index).samples(*self._places(0.5, 0), reach=0.5 * side)[::-1]
-        inside = distances < 0
+        field, places = self._field(index), self._places(0.5, 0)
+        distances = field.samples(*places, reach=0.5 * side)[::-1]
+        inside = distances < (0.0 if isinstance(self._geometry, Mesh) else -field.rounding(*places))
         shares = distances * np.float32(-255 / side)
         shares += 127.5
         image = np.rint(np.clip(shares, 0, 255, out=shares), out=shares).astype(np.uint8)

@@ -159,7 +159,8 @@ pub(crate) fn slab<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
 pub(crate) fn pyramid<F: Scalar>([x, y, z]: [F; 3], p: &Parameters<F>) -> F {
     let zero = F::default();
     let [half, half_height, slant, sin, cos] = [p[0], p[1], p[2], p[3], p[4]];
-    let (x, y) = (x.abs().most(y.abs()), x.abs().least(y.abs()));
+    let (x, y) = (x.abs(), y.abs());
+    let (x, y) = (F::select_less(x, y, y, x), F::select_less(x, y, x, y));
     let height = z + half_height;
     // Distance out of the side, and position up the side from the middle of its base edge.
     let out = (x - half) * cos + height * sin;

@@ -13,6 +13,26 @@ pub struct ClosedForm {
     slopes: Program<Dual>,
 }
 
+/// The value of a field at a point, with its gradient.
+#[derive(Debug, Clone, Copy)]
+pub struct Tangent {
+    /// The value, world units.
+    pub distance: f64,
+    /// Of length 1.
+    pub gradient: DVec3,
+    /// Largest amount by which the plane through the value with this gradient lies above a convex distance.
+    pub error: f64,
+}
+
+/// A slope whose length differs by more from 1 is not the gradient of a distance.
+const UNIT: f64 = 1e-6;
+
+/// Length of the step to a point beside one, as a fraction of its largest coordinate, at least of the local unit.
+const BESIDE: f64 = 1e-9;
+
+/// Direction of that step, of length 1. It lies in no plane of symmetry of a primitive.
+const ASIDE: DVec3 = DVec3::new(0.36, 0.48, 0.8);
+
 /// Memory of one thread that evaluates closed forms.
 #[derive(Debug, Default)]
 pub struct Scratch {
@@ -39,12 +59,26 @@ impl ClosedForm {
         value * self.solid.frame.scale
     }
 
-    /// The value and the unit gradient of the field at a world point. Where there is no gradient, as at the centre of a
-    /// ball, the gradient of one side is returned.
-    pub fn distance_and_gradient(&self, p: DVec3, scratch: &mut Scratch) -> (f64, DVec3) {
-        let at = Dual::position(self.solid.frame.local(p)).map(|x| [x]);
-        let [value] = self.slopes.run(&self.solid.model.tokens, &at, &mut scratch.slopes);
-        let gradient = DVec3::from_array(value.slope).try_normalize().unwrap_or(DVec3::X);
-        (value.value * self.solid.frame.scale, gradient)
+    /// The value and the unit gradient of the field at a world point.
+    ///
+    /// The slope of a distance has length 1, except where several points of the surface are nearest, as on the axis of
+    /// a cone. There the slope at a point beside it is the gradient of one side.
+    pub fn tangent(&self, p: DVec3, scratch: &mut Scratch) -> Tangent {
+        let local = self.solid.frame.local(p);
+        let mut slope_at = |local: DVec3| {
+            let at = Dual::position(local).map(|x| [x]);
+            let [value] = self.slopes.run(&self.solid.model.tokens, &at, &mut scratch.slopes);
+            (value.value, DVec3::from_array(value.slope))
+        };
+        let (value, slope) = slope_at(local);
+        let scale = self.solid.frame.scale;
+        let distance = value * scale;
+        if (slope.length() - 1.0).abs() <= UNIT {
+            return Tangent { distance, gradient: slope.normalize(), error: 0.0 };
+        }
+        let step = BESIDE * (1.0 + local.abs().max_element());
+        let (_, beside) = slope_at(local + step * ASIDE);
+        let gradient = beside.try_normalize().or(slope.try_normalize()).unwrap_or(DVec3::X);
+        Tangent { distance, gradient, error: 2.0 * step * scale }
     }
 }
