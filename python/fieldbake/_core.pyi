@@ -685,8 +685,8 @@ class Surface:
         upper: tuple[float, float, float],
         voxels: tuple[int, int, int],
         level: float,
-    ) -> Surface:
-        """The level set of a shape on a grid."""
+    ) -> tuple[Surface, int]:
+        """The level set of a shape on a grid, and the number of parallel edges that cross walls without a sample."""
     def use_shape(self, shape: Shape, level: float, *, sharp: bool = True) -> None:
         """Use the tangent planes of the level set of a shape, and add those around all vertices."""
     def edges(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:

@@ -60,10 +60,20 @@ const BESIDE_JOINT: f64 = 1.0 / 8.0;
 /// Number of grids that are tried until no sample lies on a joint.
 const MOST_GRIDS: usize = 4;
 
+/// The level set of a shape on a grid.
+#[derive(Debug)]
+pub struct ShapeSurface {
+    /// The surface between samples of both signs.
+    pub surface: LevelSurface,
+    /// Number of parallel edges of the grid that cross a wall without a sample inside: the walls that the surface lacks
+    /// have this many squares of a voxel, seen along the edges.
+    pub lost: usize,
+}
+
 /// The level set of a shape on a grid. A joint is a place inside the solid where parts that touch have the value of the
 /// level, as on the common face of two boxes. Samples on a joint would count as outside, and divide the solid. The grid
 /// has one voxel more then along the axes across the joint.
-pub fn level_surface(solid: &Solid, grid: &Grid, level: f32, progress: &Progress) -> Result<LevelSurface, Error> {
+pub fn level_surface(solid: &Solid, grid: &Grid, level: f32, progress: &Progress) -> Result<ShapeSurface, Error> {
     let mut grid = *grid;
     for _ in 1..MOST_GRIDS {
         let (surface, across) = level_surface_and_joints(solid, &grid, level, progress)?;
@@ -81,7 +91,7 @@ fn level_surface_and_joints(
     grid: &Grid,
     level: f32,
     progress: &Progress,
-) -> Result<(LevelSurface, [bool; 3]), Error> {
+) -> Result<(ShapeSurface, [bool; 3]), Error> {
     let mut blocks = SurfaceBlocks::new(*grid, level)?;
     let shape = IVec3::from_array(grid.shape.map(|n| n as i32));
     // Cells run from -1 to n - 1, so there are n + 1 along each axis.
@@ -115,7 +125,7 @@ fn level_surface_and_joints(
         origins = children.filter(|origin| origin.cmplt(shape).all()).collect();
     }
     let origins: Vec<[i32; 3]> = origins.into_iter().map(IVec3::into).collect();
-    let suspects: Mutex<Vec<(DVec3, usize)>> = Mutex::default();
+    let [suspects, crossed] = [const { Mutex::new(Vec::new()) }; 2];
     let fill = |stack: &mut Stack<f64, LANES>, origin: [i32; 3], samples: &mut [f32]| {
         solid.samples_of_block(grid, SIDE, origin, stack, samples);
         let found = suspected_joints(samples, level, (ON_JOINT * grid.spacing().min_element()) as f32);
@@ -126,10 +136,61 @@ fn level_surface_and_joints(
             let found = found.into_iter().map(|(index, axis)| (place(index), axis));
             suspects.lock().unwrap_or_else(PoisonError::into_inner).extend(found);
         }
+        let found = edges_across_walls(samples, level, solid.model.lipschitz, grid.spacing());
+        if !found.is_empty() {
+            let place = |index: DVec3| grid.lower + (IVec3::from(origin).as_dvec3() + index + 0.5) * grid.spacing();
+            let found = found.into_iter().map(|(index, axis)| (place(index), axis));
+            crossed.lock().unwrap_or_else(PoisonError::into_inner).extend(found);
+        }
     };
     blocks.add_evaluated(SIDE, &origins, Stack::default, fill, progress)?;
-    let suspects = suspects.into_inner().unwrap_or_else(PoisonError::into_inner);
-    Ok((blocks.surface(), axes_across_joints(solid, grid, level, &suspects, progress)?))
+    let [suspects, crossed] =
+        [suspects, crossed].map(|found| found.into_inner().unwrap_or_else(PoisonError::into_inner));
+    let lost = count_lost(solid, level, &crossed, progress)?;
+    let across = axes_across_joints(solid, grid, level, &suspects, progress)?;
+    Ok((ShapeSurface { surface: blocks.surface(), lost }, across))
+}
+
+/// The edges of a block on which the field of a wall between two samples may fall below the level: the values rise
+/// along the axis on both sides, and no sample within a voxel is inside. Each has the place, in voxels from the first
+/// sample, where a field with equal slopes on both sides is least.
+fn edges_across_walls(samples: &[f32], level: f32, lipschitz: f64, spacing: DVec3) -> Vec<(DVec3, usize)> {
+    let n = SIDE as i32 + 1;
+    let value = |index: IVec3| samples[(index.x + n * (index.y + n * index.z)) as usize] - level;
+    let is_outside = |index: IVec3| {
+        let [low, high] = [(index - 1).max(IVec3::ZERO), (index + 1).min(IVec3::splat(n - 1))];
+        let mut rows = (low.z..=high.z).flat_map(|z| (low.y..=high.y).map(move |y| (y, z)));
+        rows.all(|(y, z)| (low.x..=high.x).all(|x| value(IVec3::new(x, y, z)) >= 0.0))
+    };
+    let most = (spacing * lipschitz).as_vec3();
+    let near = level..level + most.max_element();
+    let mut found = Vec::new();
+    for (i, _) in samples.iter().enumerate().filter(|(_, value)| near.contains(value)) {
+        let i = i as i32;
+        let start = IVec3::new(i % n, i / n % n, i / (n * n));
+        for axis in (0..3).filter(|&axis| start[axis] < n - 1) {
+            let (step, a) = (IVec3::AXES[axis], value(start));
+            let (end, b) = (start + step, value(start + step));
+            // Each block has one sample of its neighbours, so the outer neighbours of some edges are not known.
+            let rises = |from: f32, outer: IVec3| outer[axis] < 0 || outer[axis] == n || value(outer) > from;
+            let is_least = b >= 0.0 && a + b < most[axis] && rises(a, start - step) && rises(b, end + step);
+            if is_least && is_outside(start) && is_outside(end) {
+                let share = f64::from(a) / f64::from(a + b).max(f64::MIN_POSITIVE);
+                found.push((start.as_dvec3() + share * step.as_dvec3(), axis));
+            }
+        }
+    }
+    found
+}
+
+/// Number of edges along the axis with the most of them whose place is inside.
+fn count_lost(solid: &Solid, level: f32, crossed: &[(DVec3, usize)], progress: &Progress) -> Result<usize, Error> {
+    let places: Vec<DVec3> = crossed.iter().map(|&(place, _)| place).collect();
+    let mut counts = [0; 3];
+    for (&(_, axis), value) in crossed.iter().zip(solid.distances(&places, progress)?) {
+        counts[axis] += usize::from(value < level);
+    }
+    Ok(counts.into_iter().max().unwrap_or(0))
 }
 
 /// Samples of a block at the level, and the axis along which no neighbour in the block is outside.
@@ -427,10 +488,22 @@ mod tests {
     }
 
     #[test]
+    fn walls_without_a_sample_are_counted() {
+        let count = |text: &str| {
+            let (solid, grid) = turned(text);
+            level_surface(&solid, &grid, 0.0, &Progress::new()).unwrap().lost
+        };
+        // A face of 2 x 2 units has 64 voxels, of which up to 1 in 3 may see the plate at 55 degrees.
+        let plate = count("(box 2 2 0.01)");
+        assert!((30..=70).contains(&plate), "{plate}");
+        assert_eq!([count("(box 2 2 2)"), count("(sphere 1.5)"), count("(torus 1.2 0.4)")], [0; 3]);
+    }
+
+    #[test]
     fn the_planes_of_a_cube_are_its_faces() {
         let (solid, grid) = turned("(box 2 2 2)");
         let progress = Progress::new();
-        let surface = level_surface(&solid, &grid, 0.0, &progress).unwrap();
+        let surface = level_surface(&solid, &grid, 0.0, &progress).unwrap().surface;
         let mut crossings = surface.crossings();
         planes_of_shape(&surface, &mut crossings, &solid, 0.0, &progress).unwrap();
         let axis = DVec3::new(1.0, 2.0, 3.0).normalize();
@@ -450,7 +523,7 @@ mod tests {
     fn crossings_without_a_root_stay_as_they_were() {
         let (solid, grid) = turned("(box 2 2 2)");
         let progress = Progress::new();
-        let surface = level_surface(&solid, &grid, 0.0, &progress).unwrap();
+        let surface = level_surface(&solid, &grid, 0.0, &progress).unwrap().surface;
         let before = surface.crossings();
         // Both lie more than a voxel off the surface of the box: one within it, the other around it.
         for text in ["(box 1 1 1)", "(box 3 3 3)"] {

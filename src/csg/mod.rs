@@ -21,7 +21,7 @@ pub(crate) mod parts;
 pub(crate) mod text;
 pub(crate) mod tree;
 
-pub use level_set::{level_surface, planes_around_of_shape, planes_of_shape};
+pub use level_set::{ShapeSurface, level_surface, planes_around_of_shape, planes_of_shape};
 pub use parts::solid::Solid;
 pub use tree::kind::{Blend, Op};
 pub use tree::shape::Shape;

@@ -6,7 +6,7 @@ use super::error::{Failure, exception};
 use super::mesh::Mesh;
 use super::run::{run, run_owned};
 use super::sparse::SparseField;
-use crate::csg::{level_surface, planes_around_of_shape, planes_of_shape};
+use crate::csg::{ShapeSurface, level_surface, planes_around_of_shape, planes_of_shape};
 use crate::error::{ArgumentError, Error};
 use crate::progress::Progress;
 use crate::surface::{self, Crossing, ExtraPlanes, LevelSurface, MeshOptions, Probes};
@@ -90,19 +90,17 @@ impl Surface {
         upper: [f64; 3],
         voxels: [usize; 3],
         level: f32,
-    ) -> PyResult<Self> {
+    ) -> PyResult<(Self, usize)> {
         let (solid, grid) = (shape.solid(py)?, grid(lower, upper, voxels)?);
-        Self::new(
-            py,
-            run_owned(py, move |progress| {
-                let mut surface = level_surface(&solid, &grid, level, progress)?;
-                // The box of the solid bounds the level zero and all levels below it.
-                if let (true, Ok(bounds)) = (level <= 0.0, solid.bounds()) {
-                    surface.keep_within(bounds);
-                }
-                Ok(surface)
-            })?,
-        )
+        let (surface, lost) = run_owned(py, move |progress| {
+            let ShapeSurface { mut surface, lost } = level_surface(&solid, &grid, level, progress)?;
+            // The box of the solid bounds the level zero and all levels below it.
+            if let (true, Ok(bounds)) = (level <= 0.0, solid.bounds()) {
+                surface.keep_within(bounds);
+            }
+            Ok((surface, lost))
+        })?;
+        Ok((Self::new(py, surface)?, lost))
     }
 
     /// Uses the crossings and the tangent planes of the level set of a shape. Joins the planes around all vertices too

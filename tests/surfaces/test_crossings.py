@@ -67,7 +67,7 @@ def test_vertices_of_a_fine_thread_are_near_its_surface(pitch, lead_in, resoluti
 def test_faces_without_an_area_have_no_walls():
     # The cross product of edges of 1e-170 is 0 in float64, and warnings are errors.
     mesh = fb.Mesh(np.concatenate([np.eye(3), 1e-170 * np.eye(3)]), np.arange(6).reshape(2, 3))
-    assert with_thin_walls(mesh, fb.sphere(3)._core, 0.1) is mesh
+    assert with_thin_walls(mesh, fb.sphere(3)._core, 0.1, 0) is mesh
 
 
 def test_walls_thinner_than_a_voxel_are_a_warning():
@@ -76,6 +76,12 @@ def test_walls_thinner_than_a_voxel_are_a_warning():
         mesh = lattice.to_mesh(24)
     assert mesh.report.warnings == (str(caught[0].message),)
     assert lattice.to_mesh(128).report.warnings == ()
+
+    # Parts of a plate without a sample inside are no part of the mesh.
+    plate = fb.box((1, 1, 0.004)).rotate("z", 20).translate((0, 0, 0.0035))
+    for shape in (plate, plate | fb.box(0.2), fb.box((1, 1, 0.004)).rotate((1, 2, 3), 40)):
+        with pytest.warns(fb.SurfaceWarning, match="thinner than a voxel"):
+            shape.to_mesh(64)
 
     for voxels, warnings in ((0.5, 1), (0.8, 1), (1.2, 0)):
         plate = fb.box((4, 4, voxels * 0.1)).rotate("x", 30).rotate("z", 20)

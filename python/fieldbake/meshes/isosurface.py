@@ -208,21 +208,25 @@ def extract(
     return Mesh._extracted(vertices, faces, SurfaceReport(clamped_vertices=clamped, warnings=warnings))
 
 
-def with_thin_walls(mesh: Mesh, shape: _core.Shape, voxel: float) -> Mesh:
-    """Warn if many walls of the mesh of a shape are thinner than a voxel, and add the warning to its report."""
-    count = len(mesh.faces)
-    if count == 0:
-        return mesh
-    corners = mesh.vertices[mesh.faces[:: -(-count // WALL_FACES)]]
+def with_thin_walls(mesh: Mesh, shape: _core.Shape, voxel: float, lost: int) -> Mesh:
+    """Warn if many walls of the mesh of a shape are thinner than a voxel, and add the warning to its report.
+
+    `lost` is the number of squares of a voxel that walls without a sample inside have.
+    """
+    step = -(-len(mesh.faces) // WALL_FACES) or 1
+    corners = mesh.vertices[mesh.faces[::step]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     areas = np.linalg.norm(normals, axis=1)
     # A face without an area has no normal, and bounds no wall.
     corners, normals, areas = (values[areas > 0] for values in (corners, normals, areas))
     within = corners.mean(axis=1) - voxel * normals / areas[:, None]
-    thin = float(areas[shape.distance(within, "cpu") > 0].sum() / max(areas.sum(), np.finfo(float).tiny))
-    if thin > THIN_SHARE:
+    # The areas are twice those of the faces, and a wall has two sides.
+    missing = 4 * lost * voxel**2 / step
+    thin = missing + float(areas[shape.distance(within, "cpu") > 0].sum())
+    share = thin / max(missing + float(areas.sum()), np.finfo(float).tiny)
+    if share > THIN_SHARE:
         warnings = (
-            f"resolution: about {100 * thin:.0f} % of the surface bounds walls thinner than a voxel "
+            f"resolution: about {100 * share:.0f} % of the surface bounds walls thinner than a voxel "
             f"({voxel:.3g}), which the mesh may lose; choose more voxels",
         )
         warn_surface(warnings)

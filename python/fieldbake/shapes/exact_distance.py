@@ -58,7 +58,7 @@ def distance_leaf(
     """
     box = _box(core, name) if bounds is None else bounds
     grid = _grid(box, reach, resolution)
-    surface = _core.Surface.of_shape(core, grid.lower, grid.upper, grid.shape, 0.0)
+    surface, _ = _core.Surface.of_shape(core, grid.lower, grid.upper, grid.shape, 0.0)
     mesh = extract(surface, 0.0, ShapeSource(core), sharp=True, capped=True)
     if not len(mesh.faces):
         raise ShapeError(f"{name}: the shape has no surface at {resolution} voxels; raise resolution=")

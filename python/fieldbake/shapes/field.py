@@ -155,7 +155,7 @@ class Field(Viewable, Sectioned):
         Warns
         -----
         SurfaceWarning
-            If more than 5 % of the surface bounds walls thinner than a voxel.
+            If more than 5 % of the surface bounds walls thinner than a voxel, also of walls that the mesh lacks.
 
         Notes
         -----
@@ -176,10 +176,10 @@ class Field(Viewable, Sectioned):
         check_count(grid)
         with watched(progress, "mesh"):
             with part(0.0, 0.4):
-                surface = _core.Surface.of_shape(self._core, grid.lower, grid.upper, grid.shape, 0.0)
+                surface, lost = _core.Surface.of_shape(self._core, grid.lower, grid.upper, grid.shape, 0.0)
             with part(0.4, 1.0):
                 mesh = extract(surface, 0.0, ShapeSource(self._core), sharp=sharp, capped=capped)
-        return with_thin_walls(mesh, self._core, max(grid.spacing))
+        return with_thin_walls(mesh, self._core, max(grid.spacing), lost)
 
     def section(
         self,
