@@ -76,7 +76,7 @@ def clearance(
     Meshes, boxes, balls and capsules that are separate are compared exactly in float64, by trees of triangles.
     Other exact shapes begin with alternating projections. Planes of support prove the result between convex ones, and
     tangents that for a mesh and a convex one, in most cases to 1e-9 of the size. Overlaps, and pairs without such a
-    proof, are searched by branch and bound. `errors` is the proven gap in every case.
+    proof, are searched by branch and bound in a limited number of cells. `errors` is the proven gap in every case.
 
     A shape that is not `exact` becomes its closed mesh of 128 voxels along the longest side. The distance of the meshes
     is the start of projections onto the surfaces of the shapes themselves, whose end is the result. `errors` then

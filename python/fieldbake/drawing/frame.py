@@ -44,7 +44,8 @@ class Frame:
     depth : (h, w) float32
         Distance along the viewing axis, world units; inf for pixels without a hit.
     normal : (h, w, 3) float32
-        Unit normal of the surface, world space; zero for pixels without a hit.
+        Unit normal of the surface, world space; zero for pixels without a hit. The normal of a volume is the direction
+        of central differences over a voxel.
     object_id : (h, w) int32
         Index of the visible object; -1 for pixels without a hit. `depth`, `normal`, `object_id` and `shadow` belong to
         the first surface that hides at least half of what is behind it.

@@ -220,7 +220,7 @@ def with_thin_walls(mesh: Mesh, shape: _core.Shape, voxel: float, lost: int) -> 
     # A face without an area has no normal, and bounds no wall.
     corners, normals, areas = (values[areas > 0] for values in (corners, normals, areas))
     within = corners.mean(axis=1) - voxel * normals / areas[:, None]
-    # The areas are twice those of the faces, and a wall has two sides.
+    # Each entry of `areas` is twice the area of a face, and a wall has two sides.
     missing = 4 * lost * voxel**2 / step
     thin = missing + float(areas[shape.distance(within, "cpu") > 0].sum())
     share = thin / max(missing + float(areas.sum()), np.finfo(float).tiny)

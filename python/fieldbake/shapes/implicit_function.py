@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from .. import _core
 from ..base import checks
-from ..base.errors import ArgumentError, FormatError, ShapeError
+from ..base.errors import ArgumentError, Error, FormatError, ShapeError
 from ..files import package_3mf
 from ..files.container import atomic_write
 from ..files.png import write_grey
@@ -74,7 +74,10 @@ def save_function(
         corners = np.arange(8)[:, None] >> np.arange(3) & 1
         vertices, faces = np.where(corners, upper, lower), np.reshape(_BOX_CORNERS, (-1, 3))
     else:
-        mesh = as_mesh(within)
+        try:
+            mesh = as_mesh(within)
+        except Error as error:
+            raise type(error)(f"within: {error}") from error
         vertices, faces = mesh.vertices, mesh.faces
     graph = _graph_of(core)
     function = "".join(_function_parts(graph))

@@ -148,6 +148,7 @@ class Shape(Field):
     def chamfer(self, width: float, *, resolution: int = exact_distance.RESOLUTION) -> Shape:
         """Replace the joint of the root operator by a flat at 45 degrees that takes `width` off each side.
 
+        The flat also cuts a wall no thicker than `width` between two operands that do not meet.
         `width` is in world units, and `resolution` is as for :meth:`union`.
         """
         return self._jointed(0.0, arguments.number("chamfer", width), resolution)

@@ -18,7 +18,7 @@ pub struct ClosedForm {
 pub struct Tangent {
     /// The value, world units.
     pub distance: f64,
-    /// Of length 1.
+    /// The gradient, divided by its length.
     pub gradient: DVec3,
     /// Largest amount by which the plane through the value with this gradient lies above a convex distance.
     pub error: f64,
