@@ -241,6 +241,48 @@ def test_booleans_of_boxes_have_exact_volumes(op, volume):
     assert mesh.report.distance_to_source <= 0.5 * mesh.report.voxel_size
 
 
+def turned_box(half: tuple[float, float, float], angles: tuple[float, float, float], shift: tuple[float, float, float]):
+    """A box, and a function for the signed distance from it."""
+    made = trimesh.creation.box(2 * np.array(half))
+    turn = trimesh.transformations.euler_matrix(*angles)[:3, :3]
+    distance = lambda points: box_distance((points - shift) @ turn, np.array(half))  # noqa: E731
+    return (made.vertices @ turn.T + shift, made.faces), distance
+
+
+@pytest.mark.parametrize("resolution", [32, 64])
+def test_the_distance_from_a_difference_is_at_most_a_thousandth_low(resolution: int) -> None:
+    a, in_a = turned_box((1.0, 0.6, 0.4), (0, 0, 0), (0, 0, 0))
+    b, in_b = turned_box((0.5, 0.5, 0.5), (0.4, 0.5, 0.6), (0.8, 0.3, 0.2))
+    made = fb.boolean("difference", a, b, resolution=resolution)
+    # The farthest points lie on edges of the operands that bound the exact difference.
+    edges = np.concatenate([v[np.sort(f[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2))] for v, f in (a, b)])
+    share = np.linspace(0, 1, 4001)[:, None, None]
+    points = (edges[:, 0] * (1 - share) + edges[:, 1] * share).reshape(-1, 3)
+    points = points[np.abs(np.maximum(in_a(points), -in_b(points))) <= 1e-12]
+    missed = fb.closest_point(made, points).distances.max()
+    assert missed <= made.report.distance_from_source * (1 + 1e-3)
+
+
+def test_the_distance_to_a_shell_is_at_most_a_thousandth_low() -> None:
+    box, distance = turned_box((1.0, 0.6, 0.4), (0.31, 1.17, -2.2), (0, 0, 0))
+    inner = turned_box((0.88, 0.48, 0.28), (0.31, 1.17, -2.2), (0, 0, 0))[1]
+    made = fb.shell(box, 0.12, 24)
+    corners = made.vertices[made.faces]
+    steps = np.stack(np.meshgrid(*[np.arange(31)] * 2), axis=-1).reshape(-1, 2)
+    steps = steps[steps.sum(axis=1) <= 30] / 30
+    weights = np.column_stack([steps, 1 - steps.sum(axis=1)])
+
+    def largest(corners):
+        points = np.einsum("ij,fjk->fik", weights, corners)
+        flat = points.reshape(-1, 3)
+        found = np.minimum(np.abs(distance(flat)), np.abs(inner(flat))).reshape(points.shape[:2])
+        return found.max(axis=1)
+
+    centers = corners.mean(axis=1)
+    farthest = np.argsort(-np.minimum(np.abs(distance(centers)), np.abs(inner(centers))))[:2000]
+    assert largest(corners[farthest]).max() <= made.report.distance_to_source * (1 + 1e-3)
+
+
 def test_booleans_agree_with_manifold():
     manifold3d = pytest.importorskip("manifold3d")
 
