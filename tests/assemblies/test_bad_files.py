@@ -60,12 +60,16 @@ BAD = {
     "a floating joint": (joint("floating"), "joint 'j': the type 'floating' has more than one value; pass the poses"),
     "a missing link": (joint(child="c"), "joint 'j': the child 'c' is no body"),
     "no child": (joint(child=""), "joint 'j'"),
-    "a zero axis": (joint(rest="<axis xyz='0 0 0'/>"), "joint 'j': joint 'j': axis: must not be zero"),
+    "a zero axis": (joint(rest="<axis xyz='0 0 0'/>"), ".urdf: joint 'j': axis: must not be zero"),
     "limits": (joint(rest="<limit lower='1' upper='0'/>"), "limits: the lower limit must not exceed"),
     "a short origin": (joint(rest="<origin xyz='0 0'/>"), "joint 'j': xyz of <origin> must be 3 finite numbers"),
     "two parents": (
         joint(more='<link name="c"/><joint name="k" type="fixed"><parent link="c"/><child link="b"/></joint>'),
         "joint 'k': 'b' has two parents",
+    ),
+    "two joints of a pair": (
+        joint(more='<joint name="k" type="fixed"><parent link="a"/><child link="b"/></joint>'),
+        "joints 'j' and 'k': both have the child 'b'",
     ),
     "a cycle": (
         joint(more='<joint name="k" type="fixed"><parent link="b"/><child link="a"/></joint>'),

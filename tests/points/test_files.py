@@ -110,7 +110,7 @@ def test_splats_of_a_sphere_make_its_ball(tmp_path):
     assert len(cloud) == 3_600
     assert (cloud.report.low_opacity, cloud.report.round_splats, cloud.normals) == (400, 0, None)
     assert len(fb.load_points(tmp_path / "ball.ply", opacity=0.05)) == 4_000
-    with pytest.raises(fb.MeshError, match="so no inside; give normals"):
+    with pytest.raises(fb.MeshError, match="no normals, so no inside"):
         fb.contains(cloud, [(0, 0, 0)])
     oriented = cloud.oriented()
     kept = normals[opacities > 0.5]

@@ -69,6 +69,14 @@ def read_urdf(
         tree_of(tuple(bodies), joints)
     except ArgumentError as error:
         raise FormatError(f"{file}: {error}") from None
+    above: dict[str, str] = {}
+    for joint in joints:
+        if joint.child in above:
+            raise FormatError(
+                f"{file}: joints {above[joint.child]!r} and {joint.name!r}: both have the child {joint.child!r}; "
+                "a link of URDF has one joint above it"
+            )
+        above[joint.child] = joint.name
     return bodies, joints, (), 0.0, {}
 
 
@@ -221,4 +229,4 @@ class _Reader:
                 mimic=mimic,
             )
         except ArgumentError as error:
-            raise FormatError(f"{self.file}: {owner}: {error}") from None
+            raise FormatError(f"{self.file}: {error}") from None

@@ -29,15 +29,15 @@ def is_signed(cloud: PointCloud, sign: str, device: str = "auto") -> bool:
         return False
     if sign not in ("auto", "winding"):
         raise ArgumentError(f'sign: must be "auto", "winding" or "unsigned" for a cloud of points, got {sign!r}')
-    require_sides(cloud, 'or cloud.oriented(), or sign="unsigned"')
+    require_sides(cloud, ', or use sign="unsigned"')
     return True
 
 
-def require_sides(cloud: PointCloud, advice: str = "or use cloud.oriented()") -> None:
-    """Raise MeshError for a cloud without an inside. The advice names the alternatives to the missing array."""
+def require_sides(cloud: PointCloud, alternative: str = "") -> None:
+    """Raise MeshError for a cloud without an inside. The message ends with the alternative to an inside."""
     if not cloud.has_sides:
-        lacking = "normals" if cloud.normals is None else "areas"
-        raise MeshError(f"the cloud has no {lacking}, so no inside; give {lacking}, {advice}")
+        lacking, source = ("normals", "cloud.oriented()") if cloud.normals is None else ("areas", "areas=None")
+        raise MeshError(f"the cloud has no {lacking}, so no inside; {source} computes them{alternative}")
 
 
 def report_of(cloud: PointCloud, signed: bool, undecided: int, samples: int, start: float, **facts: Any) -> Report:
