@@ -493,7 +493,7 @@ mod tests {
             let (solid, grid) = turned(text);
             level_surface(&solid, &grid, 0.0, &Progress::new()).unwrap().lost
         };
-        // A face of 2 x 2 units has 64 voxels, of which up to 1 in 3 may see the plate at 55 degrees.
+        // A face of 2 x 2 units has 64 squares of a voxel, and fewer seen along an axis.
         let plate = count("(box 2 2 0.01)");
         assert!((30..=70).contains(&plate), "{plate}");
         assert_eq!([count("(box 2 2 2)"), count("(sphere 1.5)"), count("(torus 1.2 0.4)")], [0; 3]);
