@@ -233,6 +233,13 @@ def test_shapes_and_volumes_become_closed_meshes():
     assert "deviation" in str(robot.report)
 
 
+def test_the_report_names_walls_that_the_mesh_of_a_shape_lacks():
+    part = fb.box(0.2) | fb.box((1, 1, 0.004)).rotate("z", 20).translate((0, 0, 0.0035))
+    with pytest.warns(fb.SurfaceWarning, match="thinner than a voxel") as caught:
+        robot = fb.Assembly({"part": part})
+    assert robot.report.warnings == (str(caught[0].message),)
+
+
 def test_bodies_take_all_forms_of_geometry():
     place = np.eye(4)
     place[0, 3] = 5

@@ -190,7 +190,11 @@ class Assembly(JointedBodies):
         """Numbers of geometries and faces, the largest deviation of converted shapes, and warnings."""
         sources = [source for elements in self._bodies.values() for source, _ in elements]
         meshes = list({id(source): source for source in sources if isinstance(source, Mesh)}.values())
-        surfaces = [text for mesh in meshes for text in mesh._core.sign_warnings("auto")]
+        surfaces = [
+            text
+            for mesh in meshes
+            for text in (*mesh._core.sign_warnings("auto"), *(mesh.report.warnings if mesh.report else ()))
+        ]
         return AssemblyReport(
             bodies=len(self._bodies),
             geometries=len(sources),
