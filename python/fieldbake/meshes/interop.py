@@ -26,8 +26,8 @@ class Triangles(NamedTuple):
 
 def is_cloud(geometry: Any) -> bool:
     """Whether an object is a cloud of points of Open3D, trimesh or PyVista, or of this package."""
-    if hasattr(geometry, "point_data") and hasattr(geometry, "n_faces_strict") and hasattr(geometry, "points"):
-        return bool(geometry.n_faces_strict == 0 and geometry.n_strips == 0)
+    if hasattr(geometry, "point_data") and hasattr(geometry, "n_strips") and hasattr(geometry, "points"):
+        return len(geometry.faces) == 0 and bool(geometry.n_strips == 0)
     if hasattr(geometry, "point") and hasattr(geometry.point, "positions"):
         # Open3D's tensor cloud; its meshes have `vertex` and `triangle`.
         return not hasattr(geometry, "triangle") and not hasattr(geometry, "line")
