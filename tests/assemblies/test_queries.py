@@ -215,6 +215,7 @@ def test_a_point_with_several_nearest_points_has_one_of_them(shape, point, offse
     found = fb.Assembly({"body": shape.translate(away)}).query(np.add(point, away))
     distance = abs(shape.distance(point, dtype="float64"))
     scale = 1 + offset
+    # The gradient is taken 1e-9 of the size beside the point, and the coordinates have the rounding of the offset.
     assert np.linalg.norm(found.points - away - point) == pytest.approx(distance, abs=1e-9 * scale)
     assert np.abs(shape.distance(found.points - away, dtype="float64")) <= 1e-8 * scale
     assert np.linalg.norm(found.gradients) == pytest.approx(1, abs=1e-12)

@@ -9,6 +9,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import shapely
+from scipy.spatial.transform import Rotation
 
 import fieldbake as fb
 import meshes
@@ -141,6 +142,16 @@ def test_a_flat_face_of_a_turned_mesh_takes_one_side(random):
                 place = np.abs(axis * (1, 0.5, 0.25)).sum() * normal
                 assert solid.section(place, normal).area == pytest.approx(size)
                 assert solid.section(-place, normal).area == 0
+
+
+def test_parts_that_share_a_face_have_a_section_there():
+    stack = fb.box((2, 2, 1)).translate((0, 0, 0.5)) | fb.box((1, 1, 1)).translate((0, 0, 1.5))
+    axis = np.array([1, 2, 3]) / np.sqrt(14)
+    for angle in (0, 40):
+        up = Rotation.from_rotvec(np.radians(angle) * axis).as_matrix()[:, 2]
+        turned = stack.rotate(axis, angle)
+        for normal in (up, -up):
+            assert turned.section(up, normal).area == pytest.approx(1, abs=1e-5)
 
 
 @pytest.mark.parametrize("resolution", [32, 64])

@@ -25,6 +25,9 @@ SNAP = 1e-9
 #: Rounding of float32 distances, as a fraction of the longest side of the box: half a unit in the last place is 3e-8.
 NOISE = 2e-7
 
+#: Distance from a plane to the points that show its sides, in units of the rounding.
+LIFT = 10.0
+
 #: Largest distance of a vertex from the zero level because of the rounding, cells.
 STRAY = 5e-4
 
@@ -48,7 +51,8 @@ class PlaneField:
     slope : float
         Bound on the change of the field per world unit; infinite if it is not known.
     noise : float
-        Rounding of the values. Smaller magnitudes count as outside, so that a face in the plane takes one side of it.
+        Rounding of the values. Smaller magnitudes count as outside, so that a face in the plane takes one side of it,
+        except on a common face of two parts: there both sides of the plane are inside.
     """
 
     values: Callable[[Array], NDArray[Any]]
@@ -65,7 +69,17 @@ class PlaneField:
         found = np.empty(len(x))
         for first in range(0, len(x), BATCH):
             rows = slice(first, first + BATCH)
-            found[rows] = self.values(self.world(x[rows], y[rows]))
+            found[rows] = self._joined(self.world(x[rows], y[rows]))
+        return found
+
+    def _joined(self, points: Array) -> NDArray[Any]:
+        """Values at points of the plane (n, 3), without the zeros on common faces of two parts."""
+        found = self.values(points)
+        rows = np.flatnonzero(np.abs(found) <= self.noise)
+        if self.noise > 0 and len(rows):
+            step = LIFT * self.noise * self.frame[:3, 2]
+            beside = np.maximum(self.values(points[rows] - step), self.values(points[rows] + step))
+            found[rows] = np.where(beside < -self.noise, beside, found[rows])
         return found
 
     def rounding(self, x: Array, y: Array) -> float:
@@ -179,7 +193,7 @@ class PlaneField:
 
     def _roots(self, starts: Array, ends: Array, shares: Array, noise: float) -> Array:
         """Fractions of segments of the plane before the zero of the field; nan where the ends have the same side."""
-        found, exists = roots(self.values, self.world(*starts.T), self.world(*ends.T), shares, noise)
+        found, exists = roots(self._joined, self.world(*starts.T), self.world(*ends.T), shares, noise)
         found[~exists] = np.nan
         return found
 

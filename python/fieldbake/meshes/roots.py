@@ -60,11 +60,12 @@ def roots(
     low, high = np.zeros(len(starts)), np.ones(len(starts))
     at_low, at_high = values(starts), values(ends)
     levels = np.zeros(len(starts))
-    rows = np.flatnonzero(np.minimum(np.abs(at_low), np.abs(at_high)) <= noise)
-    inwards = np.where(np.abs(at_low) <= noise, INWARDS, 1 - INWARDS)[rows, None]
-    is_area = np.abs(values(starts[rows] + (ends[rows] - starts[rows]) * inwards)) <= noise
-    levels[rows[is_area]] = -noise
-    at_low, at_high = at_low - levels, at_high - levels
+    if noise > 0:
+        rows = np.flatnonzero(np.minimum(np.abs(at_low), np.abs(at_high)) <= noise)
+        inwards = np.where(np.abs(at_low) <= noise, INWARDS, 1 - INWARDS)[rows, None]
+        is_area = np.abs(values(starts[rows] + (ends[rows] - starts[rows]) * inwards)) <= noise
+        levels[rows[is_area]] = -noise
+        at_low, at_high = at_low - levels, at_high - levels
     found = (at_low < 0) != (at_high < 0)
     share = np.clip(shares, 0.0, 1.0)
     open_rows = np.flatnonzero(found)

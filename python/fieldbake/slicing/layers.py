@@ -31,7 +31,6 @@ from ..volumes.volume import Volume, plain_field
 from .files import ENDINGS, write_images, write_outlines
 
 Result = TypeVar("Result")
-Field = Callable[[Array], NDArray[Any]]
 
 #: Fraction of a layer or pixel by which the box may exceed a whole number of them: the rounding of a division.
 WHOLE = 1e-9
@@ -42,9 +41,8 @@ MOST_PIXELS, MOST_LAYERS = 1 << 31, 10_000_000
 #: Layers that are kept.
 KEPT = 4
 
-#: A layer in the plane of flat faces is sliced this fraction of the longest side of the mesh outside them. The
-#: rounding of float32 distances is a tenth of it.
-LIFT = 2e-6
+#: A layer in the plane of flat faces is sliced this fraction of the longest side of the mesh outside them.
+LIFT = 10 * NOISE
 
 #: Flat faces within this fraction of the lift lie in one plane: the rounding of float64 positions.
 SAME = 1e-3
@@ -54,9 +52,11 @@ SAME = 1e-3
 class Solid:
     """The geometry of slices: its field, its box, and the exact section of a mesh that has one."""
 
-    values: Field
+    values: Callable[[Array], NDArray[Any]]
     bounds: Callable[[], Array]
     slope: float = math.inf
+    #: Rounding of the values, as a fraction of the longest side of the box; 0 if their signs are exact.
+    noise: float = NOISE
     cut: MeshCut | None = None
     #: The height at which a layer is sliced, from the height of its middle.
     height: Callable[[float], float] = float
@@ -79,6 +79,7 @@ def _solid(geometry: Shape | GridField | Mesh, device: str) -> Solid:
         lambda points: _core.signed_distance(mesh._core, np.ascontiguousarray(points), sign="auto", device=device),
         lambda: mesh.bounds,
         1.0,
+        0.0,
         MeshCut(mesh.vertices, mesh.faces, np.array([0.0, 0.0, 1.0])) if exact else None,
         _outside_of_flat_faces(mesh),
     )
@@ -103,21 +104,6 @@ def _outside_of_flat_faces(mesh: Mesh) -> Callable[[float], float]:
         return middle if first == end or is_between else middle + math.copysign(lift, areas[first:end].sum())
 
     return height
-
-
-def _without_common_faces(values: Field, noise: float, lift: float) -> Field:
-    """The field of a solid whose parts touch in faces of zeros: points that are inside `lift` above and below, too."""
-
-    def joined(points: Array) -> NDArray[Any]:
-        found = values(points)
-        rows = np.flatnonzero(np.abs(found) <= noise)
-        if len(rows):
-            step = np.array([0.0, 0.0, lift])
-            beside = np.maximum(values(points[rows] - step), values(points[rows] + step))
-            found[rows] = np.where(beside < -noise, beside, found[rows])
-        return found
-
-    return joined
 
 
 class Slices:
@@ -289,15 +275,13 @@ class Slices:
         frame[2, 3] = self._solid.height(self._z[index])
         return frame
 
-    def _field(self, index: int) -> PlaneField:
+    def _field(self, index: int, noise: float) -> PlaneField:
+        """The field of a layer; `noise` is a fraction of the longest side of the box."""
         # Samples, masks and the image take about 12 bytes a pixel.
         what = f"a layer of {self._size[0]} x {self._size[1]} pixels"
         _core.require_memory(what, 12 * self._size[0] * self._size[1], "use larger pixels")
-        longest = float((self._bounds[1] - self._bounds[0]).max())
-        values, noise = self._solid.values, NOISE * longest
-        if isinstance(self._geometry, Shape):
-            values = _without_common_faces(values, noise, LIFT * longest)
-        return PlaneField(values, self._frame(index), self._solid.slope, noise)
+        noise *= float((self._bounds[1] - self._bounds[0]).max())
+        return PlaneField(self._solid.values, self._frame(index), self._solid.slope, noise)
 
     def _places(self, offset: float, more: int) -> tuple[Array, Array]:
         x, y = (
@@ -307,9 +291,9 @@ class Slices:
 
     def _draw(self, index: int) -> NDArray[np.uint8]:
         side = math.sqrt(self._pixel[0] * self._pixel[1])
-        field, places = self._field(index), self._places(0.5, 0)
+        field, places = self._field(index, self._solid.noise), self._places(0.5, 0)
         distances = field.samples(*places, reach=0.5 * side)[::-1]
-        inside = distances < (0.0 if isinstance(self._geometry, Mesh) else -field.rounding(*places))
+        inside = distances < -field.rounding(*places)
         shares = distances * np.float32(-255 / side)
         shares += 127.5
         image = np.rint(np.clip(shares, 0, 255, out=shares), out=shares).astype(np.uint8)
@@ -324,7 +308,7 @@ class Slices:
             # Bodies that overlap along their faces have no crossings of faces, and loops that are not their union's.
             found = None if warnings else cut(found, *self._rectangle)
         if found is None:
-            found = self._field(index).outlines(*self._places(0.0, 1))
+            found = self._field(index, NOISE).outlines(*self._places(0.0, 1))
         return tuple(checks.frozen(loop) for loop in found)
 
     @property
@@ -397,7 +381,7 @@ def slices(
     section, in float64. Other outlines are found by marching squares at the corners of the pixels; their vertices lie
     within 1e-3 pixels of the zero level of the field. Features thinner than a pixel may be missed there. A layer in the
     plane of a flat face of a mesh is sliced 2e-6 of the longest side of the mesh outside it, since the surface is no
-    part of the inside.
+    part of the inside. The common face of two parts of a shape or a volume is inside.
 
     Distances of meshes and shapes are evaluated near the surface only, and the slope of the field proves the side of
     the other pixels.

@@ -11,6 +11,10 @@ use glam::DVec3;
 use std::cmp::Ordering;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
 
+/// The direction, of length about 1, in which a point beside one without a gradient lies. No face and no plane of
+/// symmetry is likely to contain it.
+pub(crate) const ASIDE: DVec3 = DVec3::new(0.43, 0.57, 0.71);
+
 /// A value and its gradient.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Dual {

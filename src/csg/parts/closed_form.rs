@@ -1,7 +1,7 @@
 //! A shape evaluated at single points in float64: the distance, and the distance with its gradient.
 
 use super::solid::Solid;
-use crate::csg::evaluation::dual::Dual;
+use crate::csg::evaluation::dual::{ASIDE, Dual};
 use crate::csg::evaluation::program::{Program, Stack};
 use glam::DVec3;
 use std::sync::Arc;
@@ -29,9 +29,6 @@ const UNIT: f64 = 1e-6;
 
 /// Length of the step to a point beside one, as a fraction of its largest coordinate, at least of the local unit.
 const BESIDE: f64 = 1e-9;
-
-/// Direction of that step, of length 1. It lies in no plane of symmetry of a primitive.
-const ASIDE: DVec3 = DVec3::new(0.36, 0.48, 0.8);
 
 /// Memory of one thread that evaluates closed forms.
 #[derive(Debug, Default)]
@@ -76,9 +73,9 @@ impl ClosedForm {
         if (slope.length() - 1.0).abs() <= UNIT {
             return Tangent { distance, gradient: slope.normalize(), error: 0.0 };
         }
-        let step = BESIDE * (1.0 + local.abs().max_element());
-        let (_, beside) = slope_at(local + step * ASIDE);
+        let aside = BESIDE * (1.0 + local.abs().max_element()) * ASIDE;
+        let (_, beside) = slope_at(local + aside);
         let gradient = beside.try_normalize().or(slope.try_normalize()).unwrap_or(DVec3::X);
-        Tangent { distance, gradient, error: 2.0 * step * scale }
+        Tangent { distance, gradient, error: 2.0 * aside.length() * scale }
     }
 }
