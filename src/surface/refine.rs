@@ -1,11 +1,12 @@
-//! Vertices moved onto the source, and edges divided where the source is curved between their ends.
+//! Vertices moved onto the source, and edges flipped or divided where the source is curved between their ends.
 //!
 //! A vertex stays off the source where its best place lies outside its cell, or where the planes of a strongly curved
 //! part meet outside it. A straight edge of one voxel on a surface with a radius of curvature of one voxel is an eighth
 //! of a voxel off in its middle, and an edge that cuts off a crease is farther off. Such vertices move to the point of
-//! the source nearest to them, and such edges are divided at the point nearest to their middle, with their two faces.
-//! A change is taken back where a face would turn, become slender, or cross another face. Without any change the mesh
-//! does not cross itself.
+//! the source nearest to them. If the other diagonal of the two faces beside such an edge is much closer to the
+//! source, it replaces the edge: the edge is flipped. Other edges are divided at the point nearest to their middle,
+//! with their two faces. A change is taken back where a face would turn, become slender, or cross another face.
+//! Without any change the mesh does not cross itself.
 
 use super::Crossing;
 use super::LevelSurface;
@@ -16,13 +17,19 @@ use crate::geometry::triangles_cross;
 use crate::progress::Progress;
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 
-/// The places that each pass changes: vertices, then edges twice. Each division quarters the error on smooth parts.
-const PASSES: [Kind; 3] = [Kind::Vertices, Kind::Edges, Kind::Edges];
+/// The places that each pass changes. Each division of an edge quarters the error on smooth parts.
+const PASSES: [Kind; 5] = [Kind::Vertices, Kind::Edges, Kind::Edges, Kind::Edges, Kind::Edges];
 
 /// A place is changed if it is farther from the source, voxels.
 const LEAST_ERROR: f64 = 0.06;
+
+/// The source is evaluated at edges whose normals state at least this distance of their middle from it, voxels.
+const LEAST_SAGITTA: f64 = 0.5 * LEAST_ERROR;
+
+/// An edge is flipped if the middle of the other diagonal is closer to the source by this factor.
+const FLIP_RATIO: f64 = 0.7;
 
 /// Largest change of a place, voxels. Farther parts of the source belong to another feature.
 const FARTHEST: f64 = 1.0;
@@ -43,7 +50,7 @@ const LEAST_HEIGHT: f64 = 0.004;
 const CHUNK: usize = 1 << 8;
 
 /// Side of the cells in which faces are compared, voxels.
-const SIDE: f64 = 2.0;
+const SIDE: f64 = 1.0;
 
 /// Most parts of a divided face.
 const MOST_PARTS: usize = 4;
@@ -53,15 +60,25 @@ const MOST_PARTS: usize = 4;
 enum Kind {
     /// Vertices move.
     Vertices,
-    /// Edges are divided.
+    /// Edges are flipped or divided.
     Edges,
 }
 
-/// A new place of a vertex, or of the middle of an edge, unless that is taken back.
+/// A change of the mesh.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Action {
+    /// A vertex moves.
+    Move(u32),
+    /// An edge is replaced by one with these ends.
+    Flip([u32; 2]),
+    /// An edge is divided.
+    Divide,
+}
+
+/// A new place of a vertex or of the middle of an edge, or a flip of the edge, unless that is taken back.
 #[derive(Debug, Clone, Copy)]
 struct Change {
-    /// The vertex that moves; `u32::MAX` for the middle of an edge.
-    vertex: u32,
+    action: Action,
     /// A point of the source, world units.
     place: DVec3,
     /// Normal of the source there.
@@ -69,6 +86,13 @@ struct Change {
     /// Distance from the place before, voxels.
     length: f64,
     is_kept: bool,
+}
+
+impl Change {
+    /// Whether the place before was so far from the source that it is changed, but not on another feature.
+    fn is_far(&self) -> bool {
+        self.is_kept && self.length > LEAST_ERROR && self.length <= FARTHEST
+    }
 }
 
 /// A face with changes.
@@ -81,9 +105,19 @@ struct ChangedFace {
     is_new: bool,
 }
 
-/// A face or its parts in the search for crossings: the entry of `Refinement::faces`, or the unchanged face after all
-/// entries, and its box.
-type Item = (u32, [DVec3; 2]);
+/// A triangle in the search for crossings.
+#[derive(Debug, Clone, Copy)]
+struct Item {
+    /// The entry of `Refinement::faces` of which it is a part, or the unchanged face after all entries.
+    owner: u32,
+    corners: [u32; 3],
+    /// Its box, world units.
+    extent: [DVec3; 2],
+}
+
+/// The place of a change and a face that has it: the ends of the edge, or twice the vertex, and three times the face
+/// plus the number of its side or corner.
+type Side = ([u32; 2], u32);
 
 /// Triangles as indices of vertices; change `i` has the index of the vertex that follows after all others and `i` more.
 type Parts = ([[u32; 3]; MOST_PARTS], usize);
@@ -115,18 +149,24 @@ pub(super) fn refine(
     within: [DVec3; 2],
     progress: &Progress,
 ) -> Result<(), Error> {
+    // A pass evaluates edges with one of these ends: any vertex, then the corners of faces that the last pass changed.
+    let mut is_changed = vec![true; mesh.0.len()];
     for kind in PASSES {
-        let mut refinement = Refinement::new((&mut *mesh.0, &mut *mesh.1), &normals, kind, nearby, spacing, within);
+        let parts = (&mut *mesh.0, &mut *mesh.1);
+        let mut refinement = Refinement::new(parts, (&normals, &is_changed), kind, nearby, spacing, within);
         if refinement.is_flat {
             return Ok(());
         }
-        if !refinement.changes.is_empty() {
-            refinement.take_back(progress)?;
-            let added = refinement.finish();
-            added.into_iter().for_each(|(vertex, normal)| {
-                normals.resize(normals.len().max(vertex as usize + 1), normal);
-                normals[vertex as usize] = normal;
-            });
+        refinement.take_back(progress)?;
+        let (placed, changed) = refinement.finish();
+        for (vertex, normal) in placed {
+            normals.resize(normals.len().max(vertex as usize + 1), normal);
+            normals[vertex as usize] = normal;
+        }
+        if kind == Kind::Edges {
+            is_changed.fill(false);
+            is_changed.resize(mesh.0.len(), false);
+            changed.into_iter().for_each(|corner| is_changed[corner as usize] = true);
         }
     }
     Ok(())
@@ -138,7 +178,7 @@ struct Refinement<'a> {
     /// Normals of the vertices.
     normals: &'a [DVec3],
     kind: Kind,
-    /// Whether the surface is curved nowhere.
+    /// Whether the surface is curved nowhere between its vertices.
     is_flat: bool,
     spacing: DVec3,
     changes: Vec<Change>,
@@ -149,28 +189,36 @@ struct Refinement<'a> {
 impl<'a> Refinement<'a> {
     fn new(
         (vertices, corners): (&'a mut Vec<DVec3>, &'a mut Vec<[u32; 3]>),
-        normals: &'a [DVec3],
+        (normals, is_changed): (&'a [DVec3], &[bool]),
         kind: Kind,
         nearby: &NearInstances,
         spacing: DVec3,
         within: [DVec3; 2],
     ) -> Self {
-        let sides = curved_sides(vertices, corners, normals, kind, spacing);
-        let keys: Vec<[u32; 2]> = sides.chunk_by(|a, b| a.0 == b.0).map(|sides| sides[0].0).collect();
-        let place = |&[a, b]: &[u32; 2]| 0.5 * (vertices[a as usize] + vertices[b as usize]);
-        let places: Vec<DVec3> = keys.par_iter().map(place).collect();
-        let found: Vec<Option<Change>> = places
-            .par_chunks(CHUNK)
-            .flat_map_iter(|places| points_of_source(places, nearby, spacing, within))
-            .collect();
+        let sides = curved_sides(vertices, corners, (normals, is_changed), kind, spacing);
+        let places: Vec<&[Side]> = sides.chunk_by(|a, b| a.0 == b.0).collect();
+        let middles = |ends: &[[u32; 2]]| -> Vec<DVec3> {
+            ends.iter().map(|&[a, b]| 0.5 * (vertices[a as usize] + vertices[b as usize])).collect()
+        };
+        let measure = |ends: &[[u32; 2]]| -> Vec<Change> {
+            let chunks = ends.par_chunks(CHUNK);
+            chunks.flat_map_iter(|ends| points_of_source(&middles(ends), nearby, spacing, within)).collect()
+        };
+        let found = measure(&places.iter().map(|sides| sides[0].0).collect::<Vec<_>>());
+        let flips = if kind == Kind::Edges { flips(corners, &places, &found, measure) } else { HashMap::new() };
+        let flipped: HashSet<u32> = flips.keys().flat_map(|&i| places[i]).map(|side| side.1 / 3).collect();
         let mut changes = Vec::new();
         let mut of_faces: Vec<(u32, u32)> = Vec::new();
-        for (sides, found) in sides.chunk_by(|a, b| a.0 == b.0).zip(found) {
-            if let Some(found) = found {
-                of_faces.extend(sides.iter().map(|&(_, side)| (side, changes.len() as u32)));
-                let [a, b] = sides[0].0;
-                changes.push(Change { vertex: if a == b { a } else { u32::MAX }, ..found });
-            }
+        for (i, (&sides, found)) in places.iter().zip(found).enumerate().filter(|(_, (_, found))| found.is_far()) {
+            let action = match (flips.get(&i), sides[0].0) {
+                (Some(&ends), _) => Action::Flip(ends),
+                // A face with a flip has no other change.
+                _ if sides.iter().any(|side| flipped.contains(&(side.1 / 3))) => continue,
+                (_, [a, b]) if a == b => Action::Move(a),
+                _ => Action::Divide,
+            };
+            of_faces.extend(sides.iter().map(|&(_, side)| (side, changes.len() as u32)));
+            changes.push(Change { action, ..found });
         }
         of_faces.par_sort_unstable();
         let faces = of_faces.chunk_by(|a, b| a.0 / 3 == b.0 / 3).map(|sides| {
@@ -248,13 +296,15 @@ impl<'a> Refinement<'a> {
         let cross = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a);
         let corners = self.corners[face.face as usize];
         let before = cross(scaled(corners)).normalize_or_zero();
-        let normal = corners.iter().map(|&corner| self.normals[corner as usize] * self.spacing).sum::<DVec3>();
-        let normal = normal.normalize_or(before);
+        let normal = |corners: [u32; 3]| {
+            let sum = corners.iter().map(|&corner| self.normal(corner) * self.spacing).sum::<DVec3>();
+            sum.normalize_or(before)
+        };
         // A face that is turned already may stay so.
-        let least = before.dot(normal).min(LEAST_COSINE);
+        let least = before.dot(normal(corners)).min(LEAST_COSINE);
         let (parts, count) = self.parts(face);
         parts[..count].iter().any(|&corners| {
-            let places = scaled(corners);
+            let (places, normal) = (scaled(corners), normal(corners));
             let area = cross(places);
             let longest = (0..3).map(|i| places[i].distance(places[(i + 1) % 3])).fold(0.0, f64::max);
             !(area.dot(normal) >= least * area.length() && area.length() >= LEAST_HEIGHT * longest)
@@ -266,6 +316,11 @@ impl<'a> Refinement<'a> {
         if corner < count { self.vertices[corner] } else { self.changes[corner - count].place }
     }
 
+    fn normal(&self, corner: u32) -> DVec3 {
+        let (corner, count) = (corner as usize, self.vertices.len());
+        if corner < count { self.normals[corner] } else { self.changes[corner - count].normal }
+    }
+
     /// The parts of a face with its changes, in its orientation.
     fn parts(&self, face: &ChangedFace) -> Parts {
         let corners = self.corners[face.face as usize];
@@ -273,6 +328,14 @@ impl<'a> Refinement<'a> {
         let changed = face.changes.map(|change| change.map(|change| count + change));
         if self.kind == Kind::Vertices {
             return ([std::array::from_fn(|i| changed[i].unwrap_or(corners[i])); MOST_PARTS], 1);
+        }
+        for (side, change) in face.changes.into_iter().enumerate() {
+            if let Some(Action::Flip([a, b])) = change.map(|change| self.changes[change as usize].action) {
+                // The second end of the side is replaced by the opposite corner of the other face.
+                let mut flipped = corners;
+                flipped[(side + 1) % 3] = if corners.contains(&a) { b } else { a };
+                return ([flipped; MOST_PARTS], 1);
+            }
         }
         let mut parts = [corners; MOST_PARTS];
         let divided = changed.iter().flatten().count();
@@ -305,9 +368,13 @@ impl<'a> Refinement<'a> {
         self.extent(&parts[..count])
     }
 
+    fn cell(&self, place: DVec3) -> IVec3 {
+        (place / (SIDE * self.spacing)).floor().as_ivec3()
+    }
+
     /// The cells that a box overlaps.
     fn cells(&self, extent: [DVec3; 2]) -> impl Iterator<Item = IVec3> + use<> {
-        let [low, high] = extent.map(|place| (place / (SIDE * self.spacing)).floor().as_ivec3());
+        let [low, high] = extent.map(|place| self.cell(place));
         let rows = (low.z..=high.z).flat_map(move |z| (low.y..=high.y).map(move |y| (y, z)));
         rows.flat_map(move |(y, z)| (low.x..=high.x).map(move |x| IVec3::new(x, y, z)))
     }
@@ -321,11 +388,15 @@ impl<'a> Refinement<'a> {
         progress: &Progress,
     ) -> Result<Vec<u32>, Error> {
         let first = self.faces.len() as u32;
-        let changed = (0..first).into_par_iter().map(|i| (i, self.extent_of_changed(&self.faces[i as usize])));
-        let others = unchanged.par_iter().map(|&face| (first + face, self.extent(&[self.corners[face as usize]])));
+        let item = |owner: u32, corners: [u32; 3]| Item { owner, corners, extent: self.extent(&[corners]) };
+        let changed = (0..first).into_par_iter().flat_map_iter(|i| {
+            let (parts, count) = self.parts(&self.faces[i as usize]);
+            parts.into_iter().take(count).map(move |corners| item(i, corners))
+        });
+        let others = unchanged.par_iter().map(|&face| item(first + face, self.corners[face as usize]));
         let items: Vec<Item> = changed.chain(others).collect();
         let in_cells = |(i, item): (usize, &Item)| {
-            let own = self.cells(item.1).filter(|cell| cells.contains(cell));
+            let own = self.cells(item.extent).filter(|cell| cells.contains(cell));
             own.map(move |cell| (cell.to_array(), i as u32))
         };
         let mut entries: Vec<([i32; 3], u32)> = items.par_iter().enumerate().flat_map_iter(in_cells).collect();
@@ -333,19 +404,14 @@ impl<'a> Refinement<'a> {
         let groups: Vec<&[([i32; 3], u32)]> = entries.chunk_by(|a, b| a.0 == b.0).collect();
         let found = groups.par_iter().with_min_len(CHUNK).map(|group| {
             let mut found = Vec::new();
-            for (at, &(_, i)) in group.iter().enumerate() {
-                // Unchanged faces come after all others.
-                if i >= first {
-                    break;
-                }
-                let (own, [lower, upper]) = items[i as usize];
-                let is_new = self.faces[own as usize].is_new;
-                for &(_, j) in &group[at + 1..] {
-                    let (other, [low, high]) = items[j as usize];
-                    let overlap = lower.cmple(high).all() && low.cmple(upper).all();
-                    let is_either_new = is_new || self.faces.get(j as usize).is_some_and(|face| face.is_new);
-                    if overlap && is_either_new && self.cross(own, other) {
-                        found.extend([own, other].into_iter().filter(|&i| i < first));
+            let mut items_of_cell = group.iter().map(|&(_, i)| &items[i as usize]);
+            // Unchanged faces come after all others.
+            while let Some(item) = items_of_cell.next().filter(|item| item.owner < first) {
+                let is_new = self.faces[item.owner as usize].is_new;
+                for other in items_of_cell.clone().filter(|other| other.owner != item.owner) {
+                    let is_either_new = is_new || self.faces.get(other.owner as usize).is_some_and(|face| face.is_new);
+                    if is_either_new && self.first_cell(item, other) == Some(group[0].0) && self.cross(item, other) {
+                        found.extend([item.owner, other.owner].into_iter().filter(|&i| i < first));
                     }
                 }
             }
@@ -358,68 +424,114 @@ impl<'a> Refinement<'a> {
         Ok(found)
     }
 
-    /// Whether parts of two items cross.
-    fn cross(&self, i: u32, j: u32) -> bool {
-        let parts = |i: u32| match self.faces.get(i as usize) {
-            Some(face) => self.parts(face),
-            None => ([self.corners[i as usize - self.faces.len()]; MOST_PARTS], 1),
-        };
-        let ((first, count), (second, others)) = (parts(i), parts(j));
-        first[..count].iter().any(|a| {
-            let [lower, upper] = self.extent(&[*a]);
-            second[..others].iter().any(|b| {
-                let [low, high] = self.extent(&[*b]);
-                lower.cmple(high).all()
-                    && low.cmple(upper).all()
-                    && a.iter().filter(|corner| b.contains(corner)).count() < 2
-                    && triangles_cross(a.map(|corner| self.place(corner)), b.map(|corner| self.place(corner)))
-            })
-        })
+    /// The first cell that the boxes of two items share.
+    fn first_cell(&self, item: &Item, other: &Item) -> Option<[i32; 3]> {
+        let ([lower, upper], [low, high]) = (item.extent, other.extent);
+        let overlap = lower.cmple(high).all() && low.cmple(upper).all();
+        overlap.then(|| self.cell(lower.max(low)).to_array())
     }
 
-    /// Changes the mesh. Returns the vertices that are new or have moved, in ascending order if new, and their normals.
-    fn finish(self) -> Vec<(u32, DVec3)> {
+    /// Whether two triangles cross. Triangles with a common edge do not.
+    fn cross(&self, item: &Item, other: &Item) -> bool {
+        item.corners.iter().filter(|corner| other.corners.contains(corner)).count() < 2
+            && triangles_cross(item.corners.map(|i| self.place(i)), other.corners.map(|i| self.place(i)))
+    }
+
+    /// Changes the mesh. Returns the vertices that are new or have moved, in ascending order if new, with their
+    /// normals, and the corners of all parts of changed faces.
+    fn finish(self) -> (Vec<(u32, DVec3)>, Vec<u32>) {
         let first = self.vertices.len() as u32;
         let mut next = first;
-        let number = |change: &Change| {
-            let is_added = change.is_kept && change.vertex == u32::MAX;
-            next += u32::from(is_added);
-            if is_added { next - 1 } else { change.vertex }
+        let number = |change: &Change| match change.action {
+            Action::Move(vertex) => vertex,
+            Action::Divide if change.is_kept => {
+                next += 1;
+                next - 1
+            }
+            Action::Divide | Action::Flip(_) => u32::MAX,
         };
         let numbers: Vec<u32> = self.changes.iter().map(number).collect();
         let renumbered = |corner: u32| if corner < first { corner } else { numbers[(corner - first) as usize] };
-        let parts: Vec<(u32, Parts)> = self.faces.iter().map(|face| (face.face, self.parts(face))).collect();
-        for (face, (parts, count)) in parts {
-            self.corners[face as usize] = parts[0].map(renumbered);
-            self.corners.extend(parts[1..count].iter().map(|part| part.map(renumbered)));
+        let changed = self.faces.iter().filter(|face| face.changes != [None; 3]);
+        let parts: Vec<(u32, Parts)> = changed.map(|face| (face.face, self.parts(face))).collect();
+        let mut changed = Vec::new();
+        for (face, (mut parts, count)) in parts {
+            parts.iter_mut().flatten().for_each(|corner| *corner = renumbered(*corner));
+            self.corners[face as usize] = parts[0];
+            self.corners.extend(&parts[1..count]);
+            changed.extend(parts[..count].as_flattened());
         }
-        let kept = self.changes.iter().zip(numbers).filter(|(change, _)| change.is_kept);
-        kept.map(|(&Change { place, normal, .. }, vertex)| {
+        let is_placed = |change: &Change| change.is_kept && !matches!(change.action, Action::Flip(_));
+        let kept = self.changes.iter().zip(numbers).filter(|(change, _)| is_placed(change));
+        let place = |(&Change { place, normal, .. }, vertex): (&Change, u32)| {
             self.vertices.resize(self.vertices.len().max(vertex as usize + 1), place);
             self.vertices[vertex as usize] = place;
             (vertex, normal)
-        })
-        .collect()
+        };
+        (kept.map(place).collect(), changed)
     }
 }
 
-/// The places of a kind at curved parts of the surface, sorted, with each face that has them: the ends of the edge, or
-/// twice the vertex, and three times the face plus the number of its side or corner.
+/// The flips of edges, by the index of the edge in `edges`: the ends of the new edge. `edges` has the sides of each
+/// edge, and `found` the change of its middle; `measure` finds the changes of the middles of other edges. The mesh has
+/// no edge with these ends, and no face has two flips. Of two flips of a face the one that gains more is made.
+fn flips(
+    corners: &[[u32; 3]],
+    edges: &[&[Side]],
+    found: &[Change],
+    measure: impl Fn(&[[u32; 2]]) -> Vec<Change>,
+) -> HashMap<usize, [u32; 2]> {
+    let ordered = |a: u32, b: u32| [a.min(b), a.max(b)];
+    let diagonal = |i: usize| match *edges[i] {
+        [(_, first), (_, second)] if found[i].is_far() => {
+            let [a, b] = [first, second].map(|side| corners[side as usize / 3][(side as usize % 3 + 2) % 3]);
+            (a != b).then(|| (i, ordered(a, b)))
+        }
+        _ => None,
+    };
+    let candidates: Vec<(usize, [u32; 2])> = (0..edges.len()).filter_map(diagonal).collect();
+    let measured = measure(&candidates.iter().map(|candidate| candidate.1).collect::<Vec<_>>());
+    let gain = |(&(i, ends), new): (&(usize, [u32; 2]), Change)| {
+        let is_better = new.is_kept && new.length < FLIP_RATIO * found[i].length;
+        is_better.then(|| (found[i].length - new.length, i, ends))
+    };
+    let mut gains: Vec<(f64, usize, [u32; 2])> = candidates.iter().zip(measured).filter_map(gain).collect();
+    gains.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let new: HashSet<[u32; 2]> = gains.iter().map(|&(_, _, ends)| ends).collect();
+    let sides = corners.par_iter().with_min_len(CHUNK).flat_map_iter(|&[a, b, c]| [(a, b), (b, c), (c, a)]);
+    let mut existing: HashSet<[u32; 2]> = sides.map(|(a, b)| ordered(a, b)).filter(|ends| new.contains(ends)).collect();
+    let mut used = HashSet::new();
+    let is_apart = |&(_, i, ends): &(f64, usize, [u32; 2])| {
+        let faces = || edges[i].iter().map(|side| side.1 / 3);
+        let is_apart = !faces().any(|face| used.contains(&face)) && existing.insert(ends);
+        if is_apart {
+            used.extend(faces());
+        }
+        is_apart
+    };
+    gains.into_iter().filter(is_apart).map(|(_, i, ends)| (i, ends)).collect()
+}
+
+/// The places of a kind at curved parts of the surface, sorted, with each face that has them. At least one end of each
+/// edge has changed.
 fn curved_sides(
     vertices: &[DVec3],
     faces: &[[u32; 3]],
-    normals: &[DVec3],
+    (normals, is_changed): (&[DVec3], &[bool]),
     kind: Kind,
     spacing: DVec3,
-) -> Vec<([u32; 2], u32)> {
+) -> Vec<Side> {
     let is_curved = |[a, b]: [u32; 2]| {
+        if !is_changed[a as usize] && !is_changed[b as usize] {
+            return false;
+        }
         let length = ((vertices[b as usize] - vertices[a as usize]) / spacing).length();
         // The arc of a circle with these normals at its ends is an eighth of the length times the angle high.
         let angle = (normals[b as usize] - normals[a as usize]).length();
-        length * angle > 8.0 * LEAST_ERROR
+        length * angle > 8.0 * LEAST_SAGITTA
     };
     let numbered = faces.par_iter().enumerate().with_min_len(CHUNK);
-    let mut sides: Vec<([u32; 2], u32)> = numbered
+    let mut sides: Vec<Side> = numbered
         .flat_map_iter(|(face, corners)| {
             let side = move |i: usize| {
                 let [a, b] = [corners[i], corners[(i + 1) % 3]];
@@ -439,14 +551,15 @@ fn curved_sides(
     sides
 }
 
-/// The points of the source at some places, where those are far from it.
+/// The points of the source nearest to some places. Those that were not found are not kept.
 fn points_of_source(
     places: &[DVec3],
     nearby: &NearInstances,
     spacing: DVec3,
     [lower, upper]: [DVec3; 2],
-) -> Vec<Option<Change>> {
-    let start = |&place: &DVec3| Change { vertex: u32::MAX, place, normal: DVec3::ZERO, length: 0.0, is_kept: false };
+) -> Vec<Change> {
+    let start =
+        |&place: &DVec3| Change { action: Action::Divide, place, normal: DVec3::ZERO, length: 0.0, is_kept: false };
     let mut found: Vec<Change> = places.iter().map(start).collect();
     for _ in 0..STEPS {
         let starts: Vec<Place> = found.iter().map(|at| Place { point: at.place, is_sharp: false }).collect();
@@ -454,12 +567,10 @@ fn points_of_source(
         nearby(&starts, &mut |i, point, normal| {
             let place = point.max(lower).min(upper);
             let step = ((place - starts[i].point) / spacing).length();
-            found[i] = Change { place, normal: normal.normalize_or_zero(), is_kept: step <= LAST_STEP, ..found[i] };
+            let length = ((place - places[i]) / spacing).length();
+            let is_kept = step <= LAST_STEP;
+            found[i] = Change { place, normal: normal.normalize_or_zero(), length, is_kept, ..found[i] };
         });
     }
-    let far = found.into_iter().zip(places).map(|(at, &start)| {
-        let length = ((at.place - start) / spacing).length();
-        (at.is_kept && length > LEAST_ERROR && length <= FARTHEST).then_some(Change { length, ..at })
-    });
-    far.collect()
+    found
 }

@@ -37,8 +37,10 @@ def test_lattices_do_not_cross_themselves(name, sharp):
     assert (mesh.bounds[1] <= shape.bounds[1]).all()
 
 
-@pytest.mark.parametrize("name", ["gyroid ball", "schwarz plate", "diamond plate", "iwp ball"])
-def test_the_surface_of_a_lattice_is_near_the_field(name):
+@pytest.mark.parametrize(
+    ("name", "share"), [("gyroid ball", 0.999), ("schwarz plate", 0.999), ("iwp ball", 0.999), ("diamond plate", 0.997)]
+)
+def test_the_surface_of_a_lattice_is_near_the_field(name, share):
     shape, resolution = lattices()[name]
     mesh = shape.to_mesh(resolution)
     fine = shape.to_mesh(300)
@@ -50,8 +52,8 @@ def test_the_surface_of_a_lattice_is_near_the_field(name):
     within = [shape.distance(nearest.points - depth * voxel * normals) < 0 for depth in (0.25, 0.5, 0.75, 1.0)]
     is_thick = np.all(within, axis=0)
     assert is_thick.mean() >= 0.8
-    assert (away[is_thick] <= 0.1).mean() >= 0.99
-    assert away.max() <= 1
+    assert (away[is_thick] <= 0.1).mean() >= share
+    assert away.max() <= 0.5
 
 
 @pytest.mark.parametrize(("pitch", "lead_in", "resolution"), [(0.75, 0, 64), (0.75, 0, 100), (1.25, 0.6, 128)])
