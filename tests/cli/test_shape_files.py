@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 import fieldbake as fb
 import meshes
 from fieldbake.cli.application import app
+from fieldbake.drawing.raymarching import raymarch
 
 SLICE = ("-o", "out.zip", "--layer", "0.25", "--pixel", "0.1")
 
@@ -60,6 +61,24 @@ def test_commands_take_shapes_of_every_kind_of_file(folder, name, command, optio
     if command == "bake":
         # Half of the shortest side is the distance in the middle.
         assert fb.load(made).sample([(0, 0, 0)]) == pytest.approx(-0.5, abs=1e-3)
+
+
+def test_the_command_draws_by_its_method(folder, monkeypatch):
+    """The command once drew every picture as a scene, without its method."""
+    frames = []
+    monkeypatch.setattr(
+        fb, "raymarch", lambda *given, **options: frames.append(raymarch(*given, **options)) or frames[-1]
+    )
+    (folder / "hollow.csg").write_text((fb.sphere() - fb.box(0.9)).to_sexpr())
+    for method in ("auto", "whole", "octree"):
+        options = ("-o", f"{method}.png", "--size", "32x32", "--device", "cpu", "--method", method)
+        assert run("csg", "hollow.csg", *options).exit_code == 0
+    auto, whole, octree = frames
+    # A march evaluates the leaves in every step, and an octree finds roots in closed form.
+    assert whole.report["leaf_evaluations"] > octree.report["leaf_evaluations"]
+    assert (whole.object_id == octree.object_id).mean() > 0.99
+    # Four samples mix the colours of the shape and of the background.
+    assert len(np.unique(auto.image)) > len(np.unique(octree.image))
 
 
 def test_info_describes_shapes(folder):

@@ -104,6 +104,28 @@ def test_the_camera_may_be_anywhere(method, device):
     assert np.isinf(depth((9, 9, 9), (9, 9, 0))).all()
 
 
+def test_a_method_is_checked_and_followed_in_every_picture() -> None:
+    """A picture drawn as a scene once took any text as its method."""
+    shape, size = fb.csg.parse(ARTICLE), (24, 24)
+    leaves = [
+        fb.raymarch(shape, size=size, method=method, device="cpu").report["leaf_evaluations"]
+        for method in ("whole", "octree")
+    ]
+    assert leaves[0] > leaves[1] > 0
+    lamp = fb.PointLight((0, 9, 9))
+    scene_only = ({"samples": 4}, {"lights": [lamp]}, {"lights": [fb.DirectionalLight((0, -1, 0), angle_deg=4)]})
+    for options in ({}, *scene_only):
+        with pytest.raises(fb.ShapeError, match=r"^method: must be one of .*, got 'nonsense'"):
+            fb.raymarch(shape, size=size, method="nonsense", device="cpu", **options)
+    for options in scene_only:
+        with pytest.raises(fb.ArgumentError, match=r'^method: "octree" draws one sample per pixel, .*; leave it out'):
+            fb.raymarch(shape, size=size, method="octree", device="cpu", **options)
+    others = fb.Quadric.sphere(), [fb.Quadric.sphere()], fb.Scene([shape]), fb.bake(shape, 8), fb.models.gear()
+    for other in others:
+        with pytest.raises(fb.ArgumentError, match=r"^method: 'octree' applies to shapes only, got a "):
+            fb.raymarch(other, size=size, method="octree", device="cpu")
+
+
 def test_boxes_that_share_faces_leave_no_gap(device):
     """Rays in the plane between two cells, and along the edge between four, hit what is there."""
     shape = fb.Shape.union(*(fb.sphere(0.4).translate((x, y, 0)) for x in (-1, 0, 1) for y in (-1, 0, 1)))

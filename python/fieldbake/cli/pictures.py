@@ -135,7 +135,10 @@ def csg(
     resolution: Resolution = "128",
     method: Annotated[
         Literal["auto", "whole", "aabb", "octree"],
-        typer.Option(help="Method of drawing; all methods give the same picture."),
+        typer.Option(
+            help="Method of drawing. auto draws four samples per pixel. The others draw one sample, and their pictures "
+            "are equal."
+        ),
     ] = "auto",
     direction: Annotated[
         Any, typer.Option(parser=parse_vector, metavar="X,Y,Z", help="Viewing direction of the camera.")
@@ -172,7 +175,7 @@ def csg(
         shape,
         camera,
         size=size,
-        samples=PICTURE_SAMPLES,
+        samples=PICTURE_SAMPLES if method == "auto" else 1,
         method=method,
         device=device,
         progress=err.is_terminal,

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _core
 from ..baking.dense import bake
 from ..base import checks
-from ..base.errors import ArgumentError, SceneError
+from ..base.errors import ArgumentError, SceneError, ShapeError
 from ..base.former_names import former_names
 from ..base.progress import Progress, progress_callback
 from ..merging.nested import NestedField
@@ -93,7 +93,8 @@ def raymarch(
     method : "auto", "whole", "aabb" or "octree", default "auto"
         For shapes only: rays are traced through the whole shape or through the parts of
         :func:`fieldbake.csg.decompose`. ``"auto"`` chooses the method with the lowest estimated cost per ray. All
-        methods give the same picture.
+        methods give the same picture. Pictures with more than one sample per pixel, point lights, spot lights or
+        penumbrae have their own method and refuse the others.
     device : str, default "auto"
         ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
     progress : bool or callable, optional
@@ -145,6 +146,11 @@ def raymarch(
     >>> float(frame.depth[0, 0])  # the corner of the picture shows the background
     inf
     """
+    checks.text("method", method)
+    if isinstance(geometry, Shape):
+        checks.choice("method", method, get_args(Method), ShapeError)
+    elif method != "auto":
+        raise ArgumentError(f"method: {method!r} applies to shapes only, got a {type(geometry).__name__}; leave it out")
     if isinstance(geometry, Scene):
         own = {"lights": lights, "ambient": ambient, "color": color, "specular": specular, "shininess": shininess}
         for name, value in {**own, "background": background}.items():
@@ -166,7 +172,6 @@ def raymarch(
     checked = checked_size(size)
     checks.choice("shadows", shadows, get_args(Shadows))
     checks.choice("filter", filter, get_args(Filter))
-    checks.text("method", method)
     checks.text("device", device)
     if camera is not None and not isinstance(camera, Camera):
         raise SceneError(f"camera: must be a Camera, got {checks.describe(camera)}; see Camera.from_pose")
@@ -189,8 +194,6 @@ def raymarch(
         return _draw_quadrics(check_quadrics(geometry), options)
     if isinstance(geometry, Shape):
         return _draw_shape(geometry, method, options)
-    if method != "auto":
-        raise ArgumentError(f"method: {method!r} applies to shapes only, got a {type(geometry).__name__}; leave it out")
     if isinstance(geometry, NestedField):
         return _draw_nested(geometry, options)
     if isinstance(geometry, ZarrVolume):
@@ -280,6 +283,11 @@ def _draw_shape(shape: Shape, method: Method, options: _Options) -> Frame:
         raise ArgumentError(f'filter: "{options.filter}" needs a volume, got a Shape; bake it first')
     camera = options.view_of(shape.bounds)
     if options.needs_scene:
+        if method != "auto":
+            raise ArgumentError(
+                f'method: "{method}" draws one sample per pixel, with directional lights without a size or with '
+                'shadows="hard"; leave it out for other pictures'
+            )
         return options.render([shape], camera, "raymarch", options.device)
     with progress_callback(options.progress, "raymarch") as callback:
         return frame_of(shape._core.draw(method, options.arguments(camera), options.device, callback))
