@@ -66,7 +66,7 @@ pub struct RaymarchOptions {
     pub size: [u32; 2],
     /// Lights; an empty list leaves ambient light only.
     pub lights: Vec<DirectionalLight>,
-    /// Ambient light, mostly from above (+Y), as a fraction of a light of colour 1.
+    /// Ambient light, equal from all directions, as a fraction of a light of colour 1.
     pub ambient: f32,
     /// Linear RGB of the surface.
     pub color: Vec3,

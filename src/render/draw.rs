@@ -124,8 +124,8 @@ pub fn raymarch_sparse<T: Texel>(
     }
 }
 
-/// Draws nested fields on a device, finest first. Each is twice as fine as the one around it, and joined to it as in
-/// `scene::nested`.
+/// Draws nested fields on a device, finest first. Each is twice as fine as the next, and joined to it as in
+/// `scene::fields::nested`.
 pub fn raymarch_nested(
     context: &Arc<Context>,
     levels: &[FieldView<'_>],

@@ -1,4 +1,4 @@
-//! The raymarcher on a graphics device (`shaders/raymarch*.wgsl`).
+//! The raymarcher on a graphics device (`shaders/field/raymarch*.wgsl`).
 //!
 //! Float64 computations are done once per picture, on the CPU: the eye is moved along the viewing axis to just before
 //! the box, and the rays of all pixels become linear functions of the pixel in grid space. The upload is a few hundred

@@ -110,7 +110,7 @@ class Fields(NamedTuple):
 
     #: Light evaluates the fields of solids.
     of_solids: bool
-    #: The camera, or the ray march of an article, evaluates the fields of sheets.
+    #: The primary pass marches the fields of sheets.
     of_sheets: bool
 
 
@@ -131,7 +131,7 @@ class SceneBuilder:
     def build(self, instances: Sequence[Instance], fields: Fields, device: str) -> _core.Scene:
         """Make a scene. An object that several instances or scenes share is converted once."""
         rows = Rows(self._textures)
-        # Looks by mesh and material.
+        # Appearances of the parts of a mesh, by the ids of the mesh and the material.
         appearances_of: dict[tuple[int, int], tuple[list[Appearance], Sheet]] = {}
         for number, instance in enumerate(instances):
             geometry = instance.geometry

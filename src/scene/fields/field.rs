@@ -2,8 +2,8 @@
 //!
 //! A [`Field`] has a space of its own in which its rays are simple: grid space for a sampled volume (voxel centres at
 //! whole numbers). Distances are in the object's own units. Any type that implements the trait can be an object of a
-//! scene. [`SampledField`] implements it for the trilinear cells of a stored volume; [`crate::scene::objects`] has the
-//! other kinds.
+//! scene. [`SampledField`] implements it for the trilinear cells of a stored volume. The other files of this folder
+//! implement it for sparse and nested volumes, shapes and quadrics.
 //!
 //! Outside its box a sampled field has bounds only. Let `b` be the nearest point of the box at distance `a`, and `s`
 //! the distance there. The surface is at least `sqrt(a^2 + s^2)` away, because the box is convex: rays may step that
