@@ -240,6 +240,14 @@ def test_an_entry_of_an_atlas_stands_where_it_was_packed() -> None:
     packed = fb.render(list(atlas), camera, size=(64, 48), device="cpu")
     plain = fb.render([field(), fb.Instance(field(), moved(x=3))], camera, size=(64, 48), device="cpu")
     assert (packed.color == plain.color).all()
+    marched = fb.render([atlas[1]], camera, size=(64, 48), primary="raymarch", shadows="hard", device="cpu")
+    alone = fb.raymarch(atlas[1], camera, size=(64, 48), device="cpu")
+    assert (alone.color == marched.color).all()
+    first = fb.Camera.fit(field().inner_bounds)
+    alone, plain = (fb.raymarch(one, first, size=(64, 48), device="cpu") for one in (atlas[0], field()))
+    assert (alone.color == plain.color).all()
+    with pytest.raises(fb.ArgumentError, match=r'^filter: "nearest" needs a volume without a transform'):
+        fb.raymarch(atlas[1], filter="nearest", device="cpu")
     entry = atlas[1]
     atlas.remove(1)
     with pytest.raises(fb.AtlasError, match="no volume 1"):

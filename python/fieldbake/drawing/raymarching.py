@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
+from ..atlases.atlas import AtlasEntry
 from ..baking.dense import bake
 from ..base import checks
 from ..base.errors import ArgumentError, SceneError, ShapeError
@@ -63,11 +64,11 @@ def raymarch(
 
     Parameters
     ----------
-    geometry : Volume, SparseVolume, ZarrVolume, NestedField, Shape, Scene, Quadric, list of Quadric, or a mesh
+    geometry : Volume, SparseVolume, ZarrVolume, NestedField, ``atlas[i]``, Shape, Scene, Quadric, list of Quadric, mesh
         A Scene has its own lights and materials; :func:`render` draws it with ``primary="raymarch"``. Quadrics are
         drawn in closed form, each in its own reflectance, and `object_id` is the index in the list. Meshes are baked
         first, with 128 voxels along the longest side. A ZarrVolume is drawn from the level whose voxels are about as
-        large as a pixel.
+        large as a pixel. An entry of an atlas is drawn at its model matrix, as in scenes.
     camera : Camera, optional
         The view. The default fits the surface: ``Camera.fit(volume.inner_bounds)``.
     size : (width, height), default (512, 512)
@@ -198,6 +199,8 @@ def raymarch(
         return _draw_nested(geometry, options)
     if isinstance(geometry, ZarrVolume):
         return _draw_zarr(geometry, options)
+    if isinstance(geometry, AtlasEntry):
+        return _draw_entry(geometry, options)
     if not isinstance(geometry, (Volume, SparseVolume)):
         geometry = bake(geometry, PICTURE_RESOLUTION, device=device, progress=progress)
     return _draw_volume(geometry, options)
@@ -325,6 +328,14 @@ def _draw_volume(volume: Volume | SparseVolume, options: _Options) -> Frame:
             progress=callback,
         )
     return frame_of(result)
+
+
+def _draw_entry(entry: AtlasEntry, options: _Options) -> Frame:
+    if (entry.transform == np.eye(4)).all():
+        return _draw_volume(entry.to_volume(), options)
+    if options.filter != "linear":
+        raise ArgumentError(f'filter: "{options.filter}" needs a volume without a transform; draw atlas[i].to_volume()')
+    return options.render([entry], options.view_of(Instance(entry).bounds), "raymarch", options.device)
 
 
 def _draw_zarr(volume: ZarrVolume, options: _Options) -> Frame:
