@@ -1,5 +1,6 @@
 //! Options of a picture of one field.
 
+use super::LitPoint;
 use crate::error::{ArgumentError, Error, choice};
 use glam::Vec3;
 
@@ -123,6 +124,11 @@ impl RaymarchOptions {
             return error("shininess", format!("must be finite and at least 0, got {}", self.shininess));
         }
         Ok(())
+    }
+
+    /// A point with the highlight of these options. Both directions have unit length.
+    pub(crate) fn lit_point(&self, normal: Vec3, to_eye: Vec3, color: Vec3) -> LitPoint {
+        LitPoint { normal, to_eye, color, specular: self.specular, shininess: self.shininess }
     }
 
     /// The lights with unit directions.

@@ -7,7 +7,7 @@
 
 use super::Quadrics;
 use crate::picture::{Camera, DirectionalLight, RaymarchOptions, Row};
-use crate::render::shade::{LitPoint, lit};
+use crate::render::shade::lit;
 use glam::DVec3;
 
 /// Data shared by all pixels.
@@ -35,7 +35,7 @@ impl QuadricView<'_> {
         let shadow = &mut row.shadow[x * row.lights..][..row.lights];
         let to_eye = -direction.normalize().as_vec3();
         let normal = hit.normal.as_vec3();
-        let point = LitPoint { normal, to_eye, color: self.quadrics.reflectance(hit.quadric) };
+        let point = self.options.lit_point(normal, to_eye, self.quadrics.reflectance(hit.quadric));
         let color = lit(&point, self.options, self.lights, shadow, |to_light| {
             self.share_that_arrives(p, hit.normal, hit.quadric, to_light.as_dvec3())
         });

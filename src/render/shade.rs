@@ -1,4 +1,4 @@
-//! Colour of a hit: Blinn-Phong (Blinn 1977) with directional lights, ambient light, hard shadows.
+//! Colour of a hit: the reflection of directional lights and ambient light, with hard shadows.
 //!
 //! The normal is the gradient of the trilinear field averaged over a voxel around the hit (a central difference of half
 //! a voxel is that average along its axis), transformed to world space, so it is right for oblong voxels. The gradient
@@ -12,7 +12,7 @@
 
 use crate::march::blocks::Blocks;
 use crate::march::marcher::{Marcher, clip_to_box, each_axis, floor};
-use crate::picture::{DirectionalLight, RaymarchOptions, Shadows};
+use crate::picture::{DirectionalLight, LitPoint, RaymarchOptions, Shadows};
 use crate::volume::trilinear;
 use glam::{DVec3, IVec3, Vec3};
 
@@ -26,42 +26,8 @@ pub(super) struct PixelHit {
     pub to_eye: Vec3,
 }
 
-/// Linear RGB of a surface of colour `color` under lights of which the fractions in `shadow` arrive. Directions must
-/// have unit length.
-pub(crate) fn lit_color(
-    color: Vec3,
-    normal: Vec3,
-    to_eye: Vec3,
-    lights: &[DirectionalLight],
-    shadow: &[f32],
-    options: &RaymarchOptions,
-) -> Vec3 {
-    let mut lit = options.ambient * color;
-    for (light, share) in lights.iter().zip(shadow) {
-        let to_light = -light.direction;
-        let cosine = normal.dot(to_light);
-        if *share > 0.0 && cosine > 0.0 {
-            let half = (to_light + to_eye).normalize_or_zero();
-            let highlight = options.specular * normal.dot(half).max(0.0).powf(options.shininess);
-            lit += *share * light.color * (cosine * color + highlight);
-        }
-    }
-    lit
-}
-
-/// The surface that light falls on.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct LitPoint {
-    /// Unit normal in world space, outward.
-    pub normal: Vec3,
-    /// Unit direction towards the eye, world space.
-    pub to_eye: Vec3,
-    /// Linear RGB.
-    pub color: Vec3,
-}
-
-/// Linear RGB of a lit surface. Writes the fraction of each light that arrives; for hard shadows `share_that_arrives`
-/// computes it.
+/// Linear RGB of a surface under lights with unit directions. Writes the fraction of each light that arrives; for hard
+/// shadows `share_that_arrives` computes it.
 pub(crate) fn lit(
     point: &LitPoint,
     options: &RaymarchOptions,
@@ -69,13 +35,18 @@ pub(crate) fn lit(
     shadow: &mut [f32],
     mut share_that_arrives: impl FnMut(Vec3) -> f32,
 ) -> Vec3 {
-    for (light, share) in lights.iter().zip(shadow.iter_mut()) {
+    let mut color = options.ambient * point.color;
+    for (light, share) in lights.iter().zip(shadow) {
+        let to_light = -light.direction;
         *share = match options.shadows {
             Shadows::None => 1.0,
-            Shadows::Hard => share_that_arrives(-light.direction),
+            Shadows::Hard => share_that_arrives(to_light),
         };
+        if *share > 0.0 {
+            color += *share * light.color * point.reflected(to_light);
+        }
     }
-    lit_color(point.color, point.normal, point.to_eye, lights, shadow, options)
+    color
 }
 
 /// Data shared by all pixels.
@@ -127,7 +98,7 @@ impl<'a, F: Blocks> Shader<'a, F> {
 
     /// Linear RGB of a surface. Writes the fraction of each light that arrives.
     pub(super) fn shade(&self, surface: &PixelHit, shadow: &mut [f32]) -> Vec3 {
-        let point = LitPoint { normal: surface.normal, to_eye: surface.to_eye, color: self.options.color };
+        let point = self.options.lit_point(surface.normal, surface.to_eye, self.options.color);
         lit(&point, self.options, self.lights, shadow, |to_light| self.share_that_arrives(surface, to_light))
     }
 

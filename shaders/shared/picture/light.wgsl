@@ -1,4 +1,5 @@
-// Colour of a lit surface: Blinn-Phong reflection of directional lights. Twin of src/render/shade.rs.
+// Colour of a lit surface: Blinn-Phong reflection of directional lights. Twin of src/picture/lit_point.rs and
+// src/render/shade.rs.
 
 struct Light {
     // Direction in which the light travels, unit length.

@@ -8,7 +8,7 @@ use crate::gpu::constants::csg_draw::{FAR_T, SHADOW_BIAS};
 use crate::gpu::layout::PictureRays;
 use crate::picture::{Camera, DirectionalLight, Frame, RaymarchOptions, Row};
 use crate::progress::Progress;
-use crate::render::shade::{LitPoint, lit};
+use crate::render::shade::lit;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -180,9 +180,9 @@ impl ShapeView<'_> {
     ) {
         let painted = seen.part.and_then(|part| self.tracer.color(seen.p, part));
         let color = painted.map_or(self.options.color, Vec3::from_array);
-        let look = LitPoint { normal: seen.normal, to_eye: -direction, color };
+        let point = self.options.lit_point(seen.normal, -direction, color);
         let shadow = &mut row.shadow[x * row.lights..][..row.lights];
-        let color = lit(&look, self.options, self.lights, shadow, share_that_arrives);
+        let color = lit(&point, self.options, self.lights, shadow, share_that_arrives);
 
         row.color[4 * x..][..4].copy_from_slice(&[color.x, color.y, color.z, 1.0]);
         row.depth[x] = seen.depth as f32;

@@ -1,4 +1,4 @@
-//! The light pass: Blinn-Phong (Blinn 1977) over the G-buffer, with shadow, occlusion and scattering from the fields.
+//! The light pass: the reflection of light over the G-buffer, with shadow, occlusion and scattering from the fields.
 //!
 //! # Theory
 //!
@@ -8,7 +8,7 @@
 //!         + sum over lights of  through * light * albedo * (1 - max(0, n.l))^2
 //! ```
 //!
-//! `ambient` is the light from everywhere on the normal ([`crate::scene::content::options`]). `arrives` is the visible
+//! The second term is the reflection of a surface ([`crate::picture::LitPoint`]). `ambient` is the light from everywhere on the normal ([`crate::scene::content::options`]). `arrives` is the visible
 //! fraction of the light ([`crate::scene::light::shadow`]), 0 on a side that faces away. `open` is the mean of cones
 //! over the hemisphere ([`crate::scene::light::occlusion`]), each weighted by its cosine; occluders beyond a given
 //! distance do not count. Indirect light ([`crate::scene::light::bounces`]) replaces `ambient * open`. `through` is the
@@ -20,7 +20,7 @@ use super::light_buffer::{LightBuffer, LightSample};
 use super::pass::Pass;
 use crate::error::Error;
 use crate::memory::zeroed_rows;
-use crate::picture::Frame;
+use crate::picture::{Frame, LitPoint};
 use crate::scene::content::model::Scene;
 use crate::scene::content::options::RenderOptions;
 use crate::scene::light::light_rays::LightWork;
@@ -141,13 +141,17 @@ impl LitSurface<'_> {
             return self.layer.emission + albedo;
         }
         let mut color = self.layer.emission + ambient * albedo;
+        let point = LitPoint {
+            normal: self.layer.normal,
+            to_eye: self.to_eye,
+            color: albedo,
+            specular: material.specular,
+            shininess: material.shininess,
+        };
         for ((light, &share), &through) in lights.lights.iter().zip(found.shares).zip(found.through) {
             let (ray, _, light_color) = light.seen_from(self.place.p);
-            let cosine = self.cosine(&ray);
-            if share > 0.0 && cosine > 0.0 {
-                let half = (ray.direction.as_vec3() + self.to_eye).normalize_or_zero();
-                let highlight = material.specular * self.layer.normal.dot(half).max(0.0).powf(material.shininess);
-                color += share * light_color * (cosine * albedo + highlight);
+            if share > 0.0 {
+                color += share * light_color * point.reflected(ray.direction.as_vec3());
             }
             color += light_color * albedo * Vec3::from_array(through);
         }
