@@ -896,9 +896,9 @@ def raymarch(
     """Draw the zero level set.
 
     ``picture`` must have all of these keys: ``pose`` (4, 4) world from camera, with the viewing axis -Z; ``fov_deg``;
-    ``height`` of the picture in world units for parallel rays, or None; ``size`` (width, height); ``light_directions``
-    (k, 3), in which light travels; ``light_colors`` (k, 3); ``ambient``; ``color``; ``specular``; ``shininess``;
-    ``background``; ``shadows``.
+    ``height`` of the picture in world units for parallel rays, or None; ``size`` (width, height); ``lights``, at
+    most 16 rows of directional lights; ``ambient``; ``color``; ``specular``; ``shininess``; ``background``;
+    ``shadows``.
 
     The result has these keys: ``color`` (h, w, 4) linear RGBA; ``depth`` (h, w) along the viewing axis, inf without a
     hit; ``normal`` (h, w, 3); ``object_id`` (h, w) int32, -1 without a hit; ``shadow`` (h, w) or (h, w, k); ``steps``

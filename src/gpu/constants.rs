@@ -55,6 +55,9 @@ const FAR_SQUARED: f32 = 3.0e38;
 /// Capacity of the stack of a walk through a tree over boxes.
 pub(crate) const BOX_STACK: usize = 56;
 
+/// Largest number of lights of a picture.
+pub(crate) const MAX_LIGHTS: usize = 16;
+
 /// A direction component below this counts as parallel to the faces: over 2^40 voxels the ray moves by less than the
 /// resolution of float32.
 pub(crate) const PARALLEL_DIRECTION: f32 = 1e-20;
@@ -272,7 +275,7 @@ wgsl_constants! {
         PARTS: u32 as u32 = 16;
     }
     light {
-        MAX_LIGHTS: usize as u32 = 64;
+        MAX_LIGHTS: usize as u32 = super::MAX_LIGHTS;
     }
     csg_tables {
         /// Lowest bit of the opcode of a token.
@@ -344,7 +347,7 @@ wgsl_constants! {
         FAR_T: f32 as f32 = 1e6;
         /// Replaces a smaller component of a direction, so that its inverse is finite.
         STILL: f32 as f32 = 1e-30;
-        MAX_LIGHTS: usize as u32 = 64;
+        MAX_LIGHTS: usize as u32 = super::MAX_LIGHTS;
         /// Kinds of parts. A part with a larger number has a function of its own.
         FORM_FIELD: u32 as u32 = 0;
         FORM_UNION: u32 as u32 = 1;

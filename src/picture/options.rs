@@ -1,17 +1,11 @@
 //! Options of a picture of one field.
 
-use super::LitPoint;
+use super::light::{DirectionalLight, Light, MAX_LIGHTS};
+use super::lit_point::LitPoint;
 use crate::error::{ArgumentError, Error, choice};
+#[cfg(test)]
+use glam::DVec3;
 use glam::Vec3;
-
-/// A light at infinite distance.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct DirectionalLight {
-    /// Direction in which the light travels, world space, any length.
-    pub direction: Vec3,
-    /// Linear RGB. A white light of value 1 lights a surface that faces it to the surface's own colour.
-    pub color: Vec3,
-}
 
 /// Kind of shadows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -65,8 +59,8 @@ impl Filter {
 pub struct RaymarchOptions {
     /// Width and height, pixels.
     pub size: [u32; 2],
-    /// Lights; an empty list leaves ambient light only.
-    pub lights: Vec<DirectionalLight>,
+    /// Directional lights, at most [`MAX_LIGHTS`]; an empty list leaves ambient light only. Their sizes have no effect.
+    pub lights: Vec<Light>,
     /// Ambient light, equal from all directions, as a fraction of a light of colour 1.
     pub ambient: f32,
     /// Linear RGB of the surface.
@@ -89,7 +83,7 @@ impl Default for RaymarchOptions {
     fn default() -> Self {
         Self {
             size: [512, 512],
-            lights: vec![DirectionalLight { direction: Vec3::new(0.3, -0.7, -0.6), color: Vec3::ONE }],
+            lights: vec![Light::sun(DVec3::new(0.3, -0.7, -0.6), Vec3::ONE)],
             ambient: 0.2,
             color: Vec3::splat(0.8),
             specular: 0.25,
@@ -111,6 +105,9 @@ impl RaymarchOptions {
         if width == 0 || height == 0 || width as u64 * height as u64 > MAX_PIXELS {
             return error("size", format!("expected 1 to {MAX_PIXELS} pixels, got {width} x {height}"));
         }
+        if self.lights.len() > MAX_LIGHTS {
+            return error("lights", format!("at most {MAX_LIGHTS}, got {}", self.lights.len()));
+        }
         if !(self.ambient.is_finite() && self.ambient >= 0.0) {
             return error("ambient", format!("must be finite and at least 0, got {}", self.ambient));
         }
@@ -131,20 +128,22 @@ impl RaymarchOptions {
         LitPoint { normal, to_eye, color, specular: self.specular, shininess: self.shininess }
     }
 
-    /// The lights with unit directions.
-    pub(crate) fn unit_lights(&self) -> Result<Vec<DirectionalLight>, Error> {
-        let unit = |(i, light): (usize, &DirectionalLight)| {
-            let direction = light.direction.as_dvec3().normalize_or_zero().as_vec3();
-            if direction == Vec3::ZERO {
-                let problem = format!("[{i}] is {}, expected a finite direction that is not zero", light.direction);
-                return Err(ArgumentError::new("light_directions", problem).into());
+    /// The lights, which must be directional.
+    pub(crate) fn directional_lights(&self) -> Result<Vec<DirectionalLight>, Error> {
+        let checked = |(i, light): (usize, &Light)| {
+            let error = |problem: String| Err(ArgumentError::new("lights", format!("[{i}] {problem}")).into());
+            let Light::Directional { direction, color, .. } = *light else {
+                return error("is at a position, expected a directional light".into());
+            };
+            let unit = direction.normalize_or_zero().as_vec3();
+            if unit == Vec3::ZERO {
+                return error(format!("has the direction {direction}, expected a finite one that is not zero"));
             }
-            if !light.color.is_finite() {
-                let problem = format!("[{i}] is {}, expected finite numbers", light.color);
-                return Err(ArgumentError::new("light_colors", problem).into());
+            if !color.is_finite() {
+                return error(format!("has the colour {color}, expected finite numbers"));
             }
-            Ok(DirectionalLight { direction, color: light.color })
+            Ok(DirectionalLight { direction: unit, color })
         };
-        self.lights.iter().enumerate().map(unit).collect()
+        self.lights.iter().enumerate().map(checked).collect()
     }
 }

@@ -13,6 +13,7 @@ mod convert;
 mod csg;
 mod device;
 mod error;
+mod light;
 mod merge;
 mod mesh;
 mod openexr;

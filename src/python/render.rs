@@ -1,12 +1,13 @@
 //! `fieldbake._core.raymarch`.
 
-use super::convert::{Field, grid, image_array, rows, with_texels};
+use super::convert::{Field, grid, image_array, with_texels};
 use super::device::{DeviceField, choose};
 use super::error::{Failure, exception};
+use super::light::LightRow;
 use super::run::run;
 use super::sparse::SparseField;
 use crate::gpu::Place;
-use crate::picture::{Camera, DirectionalLight, Filter, Frame, RaymarchOptions, Shadows};
+use crate::picture::{Camera, Filter, Frame, Light, RaymarchOptions, Shadows};
 use crate::render::{Source, raymarch_at, raymarch_nested as draw_nested, raymarch_view};
 use glam::Vec3;
 use numpy::{PyReadonlyArray2, PyReadonlyArray3};
@@ -85,8 +86,7 @@ pub(super) struct PictureArguments<'py> {
     fov_deg: f64,
     height: Option<f64>,
     size: [u32; 2],
-    light_directions: PyReadonlyArray2<'py, f32>,
-    light_colors: PyReadonlyArray2<'py, f32>,
+    lights: Vec<LightRow>,
     ambient: f32,
     color: [f32; 3],
     specular: f32,
@@ -96,11 +96,11 @@ pub(super) struct PictureArguments<'py> {
 }
 
 impl PictureArguments<'_> {
-    pub(super) fn read(&self) -> PyResult<(Camera, RaymarchOptions)> {
+    pub(super) fn read(self) -> PyResult<(Camera, RaymarchOptions)> {
         let camera = camera(&self.pose, self.fov_deg, self.height)?;
         let options = RaymarchOptions {
             size: self.size,
-            lights: lights(&self.light_directions, &self.light_colors)?,
+            lights: self.lights.into_iter().map(Light::from).collect(),
             ambient: self.ambient,
             color: Vec3::from_array(self.color),
             specular: self.specular,
@@ -130,24 +130,6 @@ fn pose_matrix(pose: &PyReadonlyArray2<'_, f64>) -> PyResult<[[f64; 4]; 4]> {
         return Err(exception(pose.py(), "ArgumentError", message));
     }
     Ok(std::array::from_fn(|row| std::array::from_fn(|column| pose_array[[row, column]])))
-}
-
-fn lights(
-    directions: &PyReadonlyArray2<'_, f32>,
-    colors: &PyReadonlyArray2<'_, f32>,
-) -> PyResult<Vec<DirectionalLight>> {
-    let py = directions.py();
-    let directions = rows(directions, "light_directions")?;
-    let colors = rows(colors, "light_colors")?;
-    if colors.len() != directions.len() {
-        let message = format!("light_colors: {} colours for {} lights", colors.len(), directions.len());
-        return Err(exception(py, "ArgumentError", message));
-    }
-    let light = |(&direction, &color)| DirectionalLight {
-        direction: Vec3::from_array(direction),
-        color: Vec3::from_array(color),
-    };
-    Ok(directions.iter().zip(colors).map(light).collect())
 }
 
 /// The arrays of a frame, its device and its duration.

@@ -4,19 +4,19 @@ use super::convert::{Field, image_array, row_array};
 use super::csg::Shape;
 use super::device::choose;
 use super::error::Failure;
+use super::light::LightRow;
 use super::mesh::Mesh;
 use super::quadric::quadric_rows;
 use super::render::{camera, frame_dict};
 use super::run::{run, run_owned};
 use super::sparse::SparseField;
 use crate::error::SceneError;
+use crate::picture::Light;
 use crate::quadric::Quadrics;
 use crate::scene;
 use crate::scene::content::instance::InstanceInput;
 use crate::scene::content::material::{Alpha, Material};
-use crate::scene::content::options::{
-    Ambient, BounceOptions, FarField, Light, Primary, RenderOptions, SceneShadows, Spot,
-};
+use crate::scene::content::options::{Ambient, BounceOptions, FarField, Primary, RenderOptions, SceneShadows};
 use crate::scene::content::texture::Texture as CoreTexture;
 use crate::scene::content::triangles::Triangles;
 use crate::scene::fields::field::{DenseField, SampledField};
@@ -260,56 +260,6 @@ impl MaterialRow {
             emission_texture: self.emission_texture,
             unlit: self.unlit,
         })
-    }
-}
-
-/// One light, as a dictionary: a directional one with `direction` and `slope`, or a point light with `position`,
-/// `radius`, `range` and `spot`.
-#[derive(FromPyObject)]
-enum LightRow {
-    #[pyo3(transparent)]
-    Directional(DirectionalRow),
-    #[pyo3(transparent)]
-    Point(PointRow),
-}
-
-/// The light of a direction; `slope` is the tangent of half its angle.
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct DirectionalRow {
-    direction: [f64; 3],
-    slope: f32,
-    color: [f64; 3],
-}
-
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct PointRow {
-    position: [f64; 3],
-    radius: f64,
-    color: [f64; 3],
-    range: Option<f64>,
-    /// Axis, and cosines of the inner and outer angle.
-    spot: Option<([f64; 3], [f64; 2])>,
-}
-
-impl From<LightRow> for Light {
-    fn from(row: LightRow) -> Self {
-        let color = |color| DVec3::from_array(color).as_vec3();
-        match row {
-            LightRow::Directional(row) => Self::Directional {
-                direction: DVec3::from_array(row.direction),
-                color: color(row.color),
-                slope: row.slope,
-            },
-            LightRow::Point(row) => Self::Point {
-                position: DVec3::from_array(row.position),
-                color: color(row.color),
-                radius: row.radius,
-                range: row.range,
-                spot: row.spot.map(|(axis, cosines)| Spot { axis: DVec3::from_array(axis), cosines }),
-            },
-        }
     }
 }
 

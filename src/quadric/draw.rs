@@ -17,7 +17,7 @@ pub(crate) fn draw_at(
     progress: &Progress,
 ) -> Result<Frame, Error> {
     options.check()?;
-    let lights = options.unit_lights()?;
+    let lights = options.directional_lights()?;
     let view = QuadricView { quadrics, camera, options, lights: &lights };
     match place {
         Place::Cpu => Frame::by_pixels(options.size, lights.len(), progress, |x, y, row| view.draw_pixel(x, y, row)),

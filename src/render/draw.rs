@@ -27,7 +27,7 @@ pub fn raymarch<F: Blocks>(
     progress: &Progress,
 ) -> Result<Frame, Error> {
     options.check()?;
-    let lights = options.unit_lights()?;
+    let lights = options.directional_lights()?;
     let marcher = Marcher::new(field, progress)?;
     let shader = Shader::new(&marcher, options, &lights);
     let view = RaymarchView {
@@ -160,7 +160,7 @@ fn draw_on_device(
     progress: &Progress,
 ) -> Result<Frame, Error> {
     options.check()?;
-    let lights = options.unit_lights()?;
+    let lights = options.directional_lights()?;
     gpu::raymarch(&field()?, grid, camera, options, &lights, progress)
 }
 

@@ -5,9 +5,8 @@
 //! bytes, the read-back 48 bytes per pixel.
 
 use super::gpu_fields::MarchedField;
-use crate::error::{ArgumentError, Error};
+use crate::error::Error;
 use crate::gpu::Context;
-use crate::gpu::constants::light::MAX_LIGHTS;
 use crate::gpu::layout::{Light, MarchParams, Pixel};
 use crate::gpu::pace::in_pieces;
 use crate::grid::Grid;
@@ -84,10 +83,6 @@ pub(super) fn raymarch(
 
 /// Uploads lights in the layout of the kernels. `lights` must have unit directions.
 pub(crate) fn upload_lights(context: &Context, lights: &[DirectionalLight]) -> Result<wgpu::Buffer, Error> {
-    if lights.len() > MAX_LIGHTS {
-        let problem = format!("{} lights, a graphics device draws with {MAX_LIGHTS} at most", lights.len());
-        return Err(ArgumentError::new("light_directions", problem).into());
-    }
     let row = |light: &DirectionalLight| Light {
         direction: light.direction.to_array(),
         color: light.color.to_array(),

@@ -4,7 +4,7 @@ use super::*;
 use crate::error::Error;
 use crate::grid::Grid;
 use crate::picture::camera::tests::look_at;
-use crate::picture::{Camera, DirectionalLight, Frame, RaymarchOptions, Shadows};
+use crate::picture::{Camera, Frame, Light, RaymarchOptions, Shadows};
 use crate::progress::Progress;
 use crate::volume::{FieldView, Trilinear};
 use glam::{DVec3, Vec3};
@@ -181,7 +181,7 @@ fn a_camera_inside_the_box_or_the_solid() {
 #[test]
 fn a_solid_that_leaves_the_box_is_cut_flat_and_lit() {
     let scene = Scene::new(DVec3::splat(-1.0), DVec3::splat(1.0), [16, 16, 16], |p| p.length() - 1.3);
-    let light = DirectionalLight { direction: Vec3::NEG_Z, color: Vec3::ONE };
+    let light = Light::sun(DVec3::NEG_Z, Vec3::ONE);
     let options = RaymarchOptions { lights: vec![light], ..options(9, 9) };
     let frame = scene.draw(&camera([0.0, 0.0, 4.0], [0.0, 0.0, 0.0], 10.0), &options);
     assert!((frame.depth[40] - 3.0).abs() < 1e-5);
@@ -196,9 +196,8 @@ fn a_sphere_casts_its_shadow_on_a_slab() {
         let slab = p.y + 0.5;
         slab.min((p - center).length() - radius)
     });
-    let light = DirectionalLight { direction: Vec3::new(0.3, -1.0, 0.2), color: Vec3::ONE };
-    let to_light = -light.direction.as_dvec3().normalize();
-    let options = RaymarchOptions { lights: vec![light], ..options(160, 160) };
+    let to_light = DVec3::new(-0.3, 1.0, -0.2).normalize();
+    let options = RaymarchOptions { lights: vec![Light::sun(-to_light, Vec3::ONE)], ..options(160, 160) };
     let camera = camera([1.0, 2.5, 3.0], [0.0, -0.1, 0.0], 40.0);
     let frame = scene.draw(&camera, &options);
 
@@ -228,7 +227,7 @@ fn a_sphere_casts_its_shadow_on_a_slab() {
 
 #[test]
 fn shadows_none_lights_everything_that_faces_the_light() {
-    let light = DirectionalLight { direction: Vec3::NEG_Y, color: Vec3::ONE };
+    let light = Light::sun(DVec3::NEG_Y, Vec3::ONE);
     let lights = vec![light, light];
     let scene = sphere(16);
     let camera = camera([0.0, 0.0, 4.0], [0.0; 3], 45.0);
@@ -267,19 +266,27 @@ fn senseless_options_are_refused() {
     let message = |options: RaymarchOptions| {
         raymarch(scene.field(), &camera, &options, &Progress::new()).unwrap_err().to_string()
     };
-    let light = |direction: Vec3, color: Vec3| vec![DirectionalLight { direction, color }];
+    let light = |direction: DVec3, color: Vec3| vec![Light::sun(direction, color)];
     assert!(message(options(0, 5)).starts_with("size: "));
     assert!(message(options(1 << 20, 1 << 20)).starts_with("size: "));
     assert!(message(RaymarchOptions { ambient: -1.0, ..options(1, 1) }).starts_with("ambient: "));
     assert!(message(RaymarchOptions { color: Vec3::NAN, ..options(1, 1) }).starts_with("color: "));
     assert!(message(RaymarchOptions { specular: f32::NAN, ..options(1, 1) }).starts_with("specular: "));
     assert!(message(RaymarchOptions { shininess: -1.0, ..options(1, 1) }).starts_with("shininess: "));
-    for direction in [Vec3::ZERO, Vec3::NAN, Vec3::INFINITY] {
+    for direction in [DVec3::ZERO, DVec3::NAN, DVec3::INFINITY] {
         let options = RaymarchOptions { lights: light(direction, Vec3::ONE), ..options(1, 1) };
-        assert!(message(options).starts_with("light_directions: [0] is "));
+        assert!(message(options).starts_with("lights: [0] has the direction "));
     }
-    let options = RaymarchOptions { lights: light(Vec3::X, Vec3::NAN), ..options(1, 1) };
-    assert!(message(options).starts_with("light_colors: [0] is "));
+    assert!(
+        message(RaymarchOptions { lights: light(DVec3::X, Vec3::NAN), ..options(1, 1) })
+            .starts_with("lights: [0] has the colour ")
+    );
+    let lamp = Light::Point { position: DVec3::ONE, color: Vec3::ONE, radius: 0.0, range: None, spot: None };
+    assert!(
+        message(RaymarchOptions { lights: vec![lamp], ..options(1, 1) }).starts_with("lights: [0] is at a position")
+    );
+    let many = vec![lamp; 17];
+    assert_eq!(message(RaymarchOptions { lights: many, ..options(1, 1) }), "lights: at most 16, got 17");
     assert!(Shadows::from_name("soft").is_err());
     assert_eq!(Shadows::from_name("none"), Ok(Shadows::None));
 }

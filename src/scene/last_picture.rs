@@ -1,10 +1,9 @@
 //! The visible surfaces of the last picture and the light on them, kept for a next picture that has the same ones.
 
 use crate::gpu::{Context, Place};
-use crate::picture::Camera;
+use crate::picture::{Camera, Light};
 use crate::scene::content::model::Scene;
-use crate::scene::content::options::FarField;
-use crate::scene::content::options::{Light, Primary, RenderOptions, SceneShadows};
+use crate::scene::content::options::{FarField, Primary, RenderOptions, SceneShadows};
 use crate::scene::lighting::light_buffer::LightBuffer;
 use crate::scene::visibility::gbuffer::{GBuffer, Layer};
 use glam::DVec3;

@@ -34,9 +34,7 @@ pub(crate) mod visibility;
 pub use content::instance::{Instance, InstanceInput};
 pub use content::material::{Alpha, Material};
 pub use content::model::Scene;
-pub use content::options::{
-    Ambient, BounceOptions, Light, MAX_BOUNCES, MAX_LIGHTS, Primary, RenderOptions, SceneShadows, Spot,
-};
+pub use content::options::{Ambient, BounceOptions, MAX_BOUNCES, Primary, RenderOptions, SceneShadows};
 pub use renderer::{Rendered, Renderer};
 
 #[cfg(test)]

@@ -20,7 +20,17 @@ from ..merging.nested import NestedField
 from ..scaling.stores.zarr_volume import ZarrVolume
 from ..scenes.camera import Camera
 from ..scenes.instance import Instance
-from ..scenes.lights import AMBIENT, BACKGROUND, DirectionalLight, Light, PointLight, SpotLight, key_light
+from ..scenes.lights import (
+    AMBIENT,
+    BACKGROUND,
+    DirectionalLight,
+    Light,
+    PointLight,
+    SpotLight,
+    check_lights,
+    key_light,
+    row_of,
+)
 from ..scenes.materials import PLAIN, SHININESS, SPECULAR, Material
 from ..scenes.scene import Scene
 from ..shapes.quadric import Quadric, bounds_of, check_quadrics, core_of, is_quadrics
@@ -82,7 +92,7 @@ def raymarch(
         Interpolation between samples: trilinear or none.
         ``"nearest"`` draws the voxels whose samples are not positive, as cubes or boxes.
     lights : sequence of DirectionalLight, PointLight and SpotLight, optional
-        If not given, one white light of intensity 0.64 from above, over the viewer's right shoulder.
+        At most 16 lights. If not given, one white light of intensity 0.64 from above, over the viewer's right shoulder.
     ambient : float, optional
         Ambient light as a fraction of the colour; the default is 0.2.
     color : (3,), optional
@@ -182,7 +192,7 @@ def raymarch(
         shadows=shadows,
         samples=checks.integer("samples", samples, least=1, most=64, error=SceneError),
         filter=filter,
-        lights=None if lights is None else _checked_lights(lights),
+        lights=None if lights is None else check_lights(lights),
         ambient=checks.number("ambient", AMBIENT if ambient is None else ambient, least=0),
         specular=checks.number("specular", SPECULAR if specular is None else specular, least=0),
         shininess=checks.number("shininess", SHININESS if shininess is None else shininess, above=0),
@@ -369,14 +379,12 @@ def picture_arguments(
     shadows: str = "hard",
 ) -> dict[str, Any]:
     """Collect the arguments of a picture for the core, whose own functions have no defaults."""
-    directions, colors = _lights(lights, camera)
     return {
         "pose": camera.pose,
         "fov_deg": camera.fov_deg,
         "height": camera.height,
         "size": size,
-        "light_directions": directions,
-        "light_colors": colors,
+        "lights": [row_of(light) for light in ((key_light(camera.pose),) if lights is None else lights)],
         "ambient": ambient,
         "color": (*color,),
         "specular": specular,
@@ -384,26 +392,3 @@ def picture_arguments(
         "background": (*background,),
         "shadows": shadows,
     }
-
-
-def _checked_lights(lights: Sequence[Light]) -> Sequence[Light]:
-    if not isinstance(lights, Sequence):
-        raise SceneError(f"lights: must be a list of lights, got {checks.describe(lights)}")
-    for number, light in enumerate(lights):
-        if not isinstance(light, (DirectionalLight, PointLight, SpotLight)):
-            raise SceneError(
-                f"lights[{number}]: must be a DirectionalLight, PointLight or SpotLight, got {checks.describe(light)}"
-            )
-    return lights
-
-
-def _lights(lights: Sequence[Light] | None, camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return directions and colours of lights, (k, 3) each."""
-    if lights is None:
-        lights = [key_light(camera.pose)]
-    directions = [light.direction for light in lights if isinstance(light, DirectionalLight)]
-    colors = [np.multiply(light.color, light.intensity) for light in lights]
-    return (
-        np.array(directions, dtype=np.float32).reshape(-1, 3),
-        np.array(colors, dtype=np.float32).reshape(-1, 3),
-    )

@@ -87,7 +87,7 @@ pub(crate) fn draw(
     progress: &Progress,
 ) -> Result<Drawing, Error> {
     options.check()?;
-    let lights = options.unit_lights()?;
+    let lights = options.directional_lights()?;
     // The rays of an orthographic camera start at different points, so `draw_pixel` decides for each.
     let is_eye_inside = !camera.is_parallel() && tracer.is_inside(camera.eye);
     let rays = PixelRays::new(tracer, camera, options, lights.len());

@@ -25,8 +25,8 @@ use crate::csg::parts::trace::Tracer;
 use crate::csg::text::specialised_kernel::{Entry, SpecialisedKernel};
 use crate::csg::tree::kind::Op;
 use crate::csg::tree::placement::by_number;
-use crate::error::{ArgumentError, DeviceError, Error};
-use crate::gpu::constants::csg_draw::{MAX_LIGHTS, PIXEL_HIT, PIXEL_RAN_OUT};
+use crate::error::{DeviceError, Error};
+use crate::gpu::constants::csg_draw::{PIXEL_HIT, PIXEL_RAN_OUT};
 use crate::gpu::constants::csg_field::CSG_FAR;
 use crate::gpu::constants::csg_tables::*;
 use crate::gpu::layout::{CsgBox, CsgDrawParams, CsgLeaf, CsgPixel, CsgPointParams};
@@ -258,10 +258,6 @@ fn bake(solid: &Solid, context: &Context, grid: &Grid, progress: &Progress) -> R
 /// Draws on a device.
 pub(crate) fn draw(view: &ShapeView<'_>, context: &Arc<Context>, progress: &Progress) -> Result<Drawing, Error> {
     let (tracer, options) = (view.tracer, view.options);
-    if view.lights.len() > MAX_LIGHTS {
-        let problem = format!("{} lights, a graphics device draws with {MAX_LIGHTS} at most", view.lights.len());
-        return Err(ArgumentError::new("light_directions", problem).into());
-    }
     let [width, height] = options.size;
     let pixel_count = width as usize * height as usize;
     let solid = tracer.solid;

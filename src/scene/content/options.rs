@@ -1,45 +1,10 @@
-//! Lights, and the options of a picture of a scene.
+//! The options of a picture of a scene.
 
+use crate::picture::Light;
 use crate::scene::fields::field::Field;
-use glam::{DVec3, Mat3, Mat4, Vec3};
+use glam::{Mat3, Mat4, Vec3};
 use std::fmt;
 use std::sync::Arc;
-
-/// A light in world units.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Light {
-    /// A light so far away that its disc has the same direction from every point.
-    Directional {
-        /// Direction in which the light travels, any length.
-        direction: DVec3,
-        /// Linear RGB.
-        color: Vec3,
-        /// Tangent of half the angle of the light's disc.
-        slope: f32,
-    },
-    /// A light at a position.
-    Point {
-        /// Position, world units.
-        position: DVec3,
-        /// Linear RGB.
-        color: Vec3,
-        /// Radius of the ball that emits the light, world units.
-        radius: f64,
-        /// Distance at which the light ends, world units; None without falloff.
-        range: Option<f64>,
-        /// Cone that the light shines into; None for all directions.
-        spot: Option<Spot>,
-    },
-}
-
-/// The cone of a spot light. Angles are those between a direction and the axis.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Spot {
-    /// Unit direction of the axis, in which the light travels.
-    pub axis: DVec3,
-    /// Cosines of the angle at which the intensity begins to decrease, and of the angle at which it is zero.
-    pub cosines: [f64; 2],
-}
 
 /// Light from everywhere.
 #[derive(Debug, Clone, PartialEq)]
@@ -88,9 +53,6 @@ impl Ambient {
         }
     }
 }
-
-/// Largest number of lights of a scene.
-pub const MAX_LIGHTS: usize = 16;
 
 /// Method for the first surface of a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -166,7 +128,7 @@ pub struct RenderOptions {
     pub primary: Primary,
     /// Kind of shadows.
     pub shadows: SceneShadows,
-    /// The lights, at most [`MAX_LIGHTS`].
+    /// The lights, at most [`crate::picture::MAX_LIGHTS`].
     pub lights: Vec<Light>,
     /// Ambient light.
     pub ambient: Ambient,

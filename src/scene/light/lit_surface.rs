@@ -7,8 +7,9 @@ use super::occlusion::Occluders;
 use super::shadow::Casters;
 use super::transmission;
 use super::transmission::NO_LIGHT;
+use crate::picture::{Light, Spot};
 use crate::scene::content::model::Scene;
-use crate::scene::content::options::{Light, RenderOptions, SceneShadows, Spot};
+use crate::scene::content::options::{RenderOptions, SceneShadows};
 use crate::scene::visibility::gbuffer::{GBuffer, Layer};
 use glam::{DVec3, Vec3};
 
