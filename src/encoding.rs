@@ -53,7 +53,7 @@ pub enum Encoding {
 /// Largest magnitude of an 8-bit and of a 16-bit normalised integer. The most negative integer is not used.
 const SNORM8_STEPS: f32 = 127.0;
 const SNORM16_STEPS: f32 = 32767.0;
-/// Relative amount by which a quotient is reduced, so that its rounding never exceeds the wanted integer. It is less
+/// Relative amount by which a quotient is reduced, so that its rounding never exceeds the exact quotient. It is less
 /// than one step: 13 ulps of 32767 are 1/40.
 const QUOTIENT_SHARE: f32 = 1.0 - 4.0 * f32::EPSILON;
 /// 1.5 * 2^23. In a sum with it the last bit of an f32 has the value one, so the sum rounds to a whole number. (`floor`
@@ -151,7 +151,7 @@ impl Encoding {
     /// Fails unless every nonzero stored value decodes to a finite nonzero value of the same sign.
     pub fn check_scale(self, scale: f32) -> Result<(), ArgumentError> {
         let is_positive = scale.is_finite() && scale > 0.0;
-        let wanted = match self {
+        let expected = match self {
             Self::Float16 if is_positive && !is_half_scale(scale) => {
                 let (least, most) = (HALF_SCALE_EXPONENTS.start(), HALF_SCALE_EXPONENTS.end());
                 format!("a power of two from 2^{least} to 2^{most} for float16")
@@ -162,7 +162,7 @@ impl Encoding {
             _ if is_positive => return Ok(()),
             _ => "a positive number".to_owned(),
         };
-        Err(ArgumentError::new("scale", format!("must be {wanted}, got {scale}")))
+        Err(ArgumentError::new("scale", format!("must be {expected}, got {scale}")))
     }
 
     /// Largest error of a decoded value, for values within the range whose magnitude is at most `magnitude`.

@@ -17,9 +17,9 @@ var<private> needs_edge: bool;
 fn ray_share(beam: Beam) -> f32 {
     var share = 1.0;
     var walk = begin_walk(beam);
-    for (var caster = next_caster(&walk, beam); caster.index != NO_INSTANCE; caster = next_caster(&walk, beam)) {
-        if hit_of(caster, ray_in_field(caster.index, beam)) >= 0.0 {
-            share *= 1.0 - instances[caster.index].opacity;
+    for (var occluder = next_occluder(&walk, beam); occluder.index != NO_INSTANCE; occluder = next_occluder(&walk, beam)) {
+        if hit_of(occluder, ray_in_field(occluder.index, beam)) >= 0.0 {
+            share *= 1.0 - instances[occluder.index].opacity;
             if share <= 0.0 { return 0.0; }
         }
     }
@@ -48,10 +48,10 @@ struct Cone {
 // Evaluates a cone past one occluder. Only edges closer to the axis than x_known are relevant. Without `with_edges` a
 // cone that needs a ray past an edge sets `needs_edge`. The CPU traces the axis only near surfaces; it finds the same
 // shares.
-fn cone_past(caster: Occluder, beam: Beam, ray: FieldRay, span: vec2f, x_known: f32, with_edges: bool) -> Cone {
-    let t_hit = hit_of(caster, ray);
+fn cone_past(occluder: Occluder, beam: Beam, ray: FieldRay, span: vec2f, x_known: f32, with_edges: bool) -> Cone {
+    let t_hit = hit_of(occluder, ray);
     if t_hit < 0.0 && x_known <= 0.0 { return Cone(1.0, false, 1.0); }
-    let deepest = nearest_edge(beam, caster.index, ray, x_known, span, t_hit);
+    let deepest = nearest_edge(beam, occluder.index, ray, x_known, span, t_hit);
     if t_hit < 0.0 { return Cone(deepest.x, false, 1.0); }
     if deepest.x <= -1.0 { return Cone(-1.0, true, 1.0); }
     // A disc with a blocked axis that no occluder covers is divided, so its own fraction is not used.
@@ -60,7 +60,7 @@ fn cone_past(caster: Occluder, beam: Beam, ray: FieldRay, span: vec2f, x_known: 
         needs_edge = true;
         return Cone(-1.0, false, 1.0);
     }
-    let past = largest_clearances_past(caster, beam, ray, deepest);
+    let past = largest_clearances_past(occluder, beam, ray, deepest);
     if HAS_WIDE && beam.is_coarse == WIDE {
         let fade = 1.0 - (beam.t_max - t_hit) / (END_FADE * beam.slope * beam.t_max);
         var beside = 1.0;
@@ -71,23 +71,23 @@ fn cone_past(caster: Occluder, beam: Beam, ray: FieldRay, span: vec2f, x_known: 
 }
 
 // The interval of a cone in which the surface of an occluder may come within `x_known` radii of the axis.
-fn cone_span(caster: Occluder, beam: Beam, ray: FieldRay, x_known: f32) -> vec2f {
-    let to = &instances[caster.index];
+fn cone_span(occluder: Occluder, beam: Beam, ray: FieldRay, x_known: f32) -> vec2f {
+    let to = &instances[occluder.index];
     let needed = beam.slope * max(x_known, 0.0);
     let grown = (*to).field_extent * widest(beam.p, needed, (*to).box_min, (*to).box_max, beam.t_max);
     let lower = (*to).surface_lower - grown;
     let upper = (*to).surface_upper + grown;
-    let span = clip(ray.origin, ray.direction, lower, upper, caster.part);
+    let span = clip(ray.origin, ray.direction, lower, upper, occluder.part);
     // Only levels of the far field are skipped.
-    if !HAS_FAR || span.x > span.y || caster.skip == 0.0 { return span; }
+    if !HAS_FAR || span.x > span.y || occluder.skip == 0.0 { return span; }
     if sampled_distance(fields[(*to).field], ray.origin + span.x * ray.direction) > 0.0 { return span; }
-    return clip(ray.origin, ray.direction, lower, upper, caster.part + vec2f(caster.skip, 0.0));
+    return clip(ray.origin, ray.direction, lower, upper, occluder.part + vec2f(occluder.skip, 0.0));
 }
 
 // The largest clearances of rays past the edges of an occluder in radii, from 0 to 1: beside that occluder, and beside
 // all. See `rays_past` in cone.rs.
-fn largest_clearances_past(caster: Occluder, beam: Beam, ray: FieldRay, deepest: vec2f) -> vec2f {
-    let index = caster.index;
+fn largest_clearances_past(occluder: Occluder, beam: Beam, ray: FieldRay, deepest: vec2f) -> vec2f {
+    let index = occluder.index;
     let to = &instances[index];
     let t = deepest.y;
     let depth = -deepest.x * beam.slope * t;
@@ -136,21 +136,21 @@ fn clearances_along(beam: Beam, past: u32, least: f32) -> vec2f {
     var others = 1.0;
     var is_own_found = false;
     var walk = begin_walk(beam);
-    for (var caster = next_caster(&walk, beam); caster.index != NO_INSTANCE; caster = next_caster(&walk, beam)) {
-        let is_own = caster.index == past;
-        if !is_own && (instances[caster.index].opacity < 1.0 || others <= least) { continue; }
+    for (var occluder = next_occluder(&walk, beam); occluder.index != NO_INSTANCE; occluder = next_occluder(&walk, beam)) {
+        let is_own = occluder.index == past;
+        if !is_own && (instances[occluder.index].opacity < 1.0 || others <= least) { continue; }
         is_own_found = is_own_found || is_own;
-        let ray = ray_in_field(caster.index, beam);
+        let ray = ray_in_field(occluder.index, beam);
         var clearance = select(others, own, is_own);
         var is_free = false;
-        if !HAS_THIN || instances[caster.index].prefers_rays == 0u {
-            let span = cone_span(caster, beam, ray, clearance);
+        if !HAS_THIN || instances[occluder.index].prefers_rays == 0u {
+            let span = cone_span(occluder, beam, ray, clearance);
             if span.x > span.y { continue; }
-            let nearest = nearest_edge(beam, caster.index, ray, clearance, span, -1.0);
+            let nearest = nearest_edge(beam, occluder.index, ray, clearance, span, -1.0);
             clearance = nearest.x;
             is_free = nearest.y < 0.0;
         }
-        if clearance > 0.0 && !is_free && hit_of(caster, ray) >= 0.0 { clearance = 0.0; }
+        if clearance > 0.0 && !is_free && hit_of(occluder, ray) >= 0.0 { clearance = 0.0; }
         if is_own { own = clearance; } else { others = clearance; }
         if is_own_found && min(own, others) <= least { break; }
     }
@@ -391,13 +391,13 @@ fn thin_ray(beam: Beam, i: u32) -> Beam {
 }
 
 // Multiplies the rays that hit an instance by its transmitted fraction.
-fn block(thin: ptr<function, RayBundle>, caster: Occluder, beam: Beam) {
-    let to = &instances[caster.index];
+fn block(thin: ptr<function, RayBundle>, occluder: Occluder, beam: Beam) {
+    let to = &instances[occluder.index];
     (*thin).is_tested = true;
     for (var i = 0u; i < THIN_RAYS; i++) {
         steps++;
-        let ray = ray_in_field(caster.index, thin_ray(beam, i));
-        let span = clip(ray.origin, ray.direction, (*to).surface_lower, (*to).surface_upper, caster.part);
+        let ray = ray_in_field(occluder.index, thin_ray(beam, i));
+        let span = clip(ray.origin, ray.direction, (*to).surface_lower, (*to).surface_upper, occluder.part);
         if (*thin).shares[i] == 0.0 || span.x > span.y { continue; }
         let start = ray.origin + span.x * ray.direction;
         if thin_hit(fields[(*to).field], start, ray.direction, span.y - span.x) >= 0.0 {
@@ -424,31 +424,31 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
     // The slope of a wide cone is a sine; rays in it need the tangent.
     if HAS_WIDE && beam.is_coarse == WIDE { thin_beam.slope = beam.slope / sqrt(1.0 - beam.slope * beam.slope); }
     var walk = begin_walk(beam);
-    for (var caster = next_caster(&walk, beam); caster.index != NO_INSTANCE; caster = next_caster(&walk, beam)) {
-        if HAS_THIN && instances[caster.index].prefers_rays != 0u {
-            if may_intersect(caster.index, thin_beam) { block(&thin, caster, thin_beam); }
+    for (var occluder = next_occluder(&walk, beam); occluder.index != NO_INSTANCE; occluder = next_occluder(&walk, beam)) {
+        if HAS_THIN && instances[occluder.index].prefers_rays != 0u {
+            if may_intersect(occluder.index, thin_beam) { block(&thin, occluder, thin_beam); }
             continue;
         }
-        let opacity = instances[caster.index].opacity;
+        let opacity = instances[occluder.index].opacity;
         var x_known = select(1.0, x, beam.is_coarse != 0u && opacity >= 1.0);
         var ball = BallBeside(-1.0, 1.0, 1.0);
-        let is_near = HAS_WIDE && beam.is_coarse == WIDE && caster.index < params.far;
+        let is_near = HAS_WIDE && beam.is_coarse == WIDE && occluder.index < params.far;
         if is_near {
             // Cones of occlusion are wide: they enter the boxes of many instances and miss most of the surfaces inside.
-            ball = ball_beside(caster.index, beam);
+            ball = ball_beside(occluder.index, beam);
             if ball.least_x >= 1.0 { continue; }
             if ball.covered <= LEAST_BALL {
-                let own = opacity * min(ball.weight * instances[caster.index].ball_fill * ball.covered, 1.0);
+                let own = opacity * min(ball.weight * instances[occluder.index].ball_fill * ball.covered, 1.0);
                 share *= 1.0 - own;
                 blocked += own;
                 continue;
             }
             x_known = 1.0;
         }
-        let ray = ray_in_field(caster.index, beam);
-        let span = cone_span(caster, beam, ray, x_known);
+        let ray = ray_in_field(occluder.index, beam);
+        let span = cone_span(occluder, beam, ray, x_known);
         var cone = Cone(1.0, false, 1.0);
-        if span.x <= span.y { cone = cone_past(caster, beam, ray, span, x_known, with_edges); }
+        if span.x <= span.y { cone = cone_past(occluder, beam, ray, span, x_known, with_edges); }
         if needs_edge { return vec2f(0.0); }
         // Beside a free axis a distance may be a loose bound.
         if cone.x >= 0.0 { cone.x = max(cone.x, ball.least_x); }
@@ -456,7 +456,7 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
             let hidden = 1.0 - visible_share(cone.x);
             // A ball that covers little has no straight edge in the cone.
             let by_edge = (ball.covered - LEAST_BALL) / (1.0 - LEAST_BALL);
-            let covered = mix(instances[caster.index].ball_fill * ball.covered, min(hidden, ball.covered), by_edge);
+            let covered = mix(instances[occluder.index].ball_fill * ball.covered, min(hidden, ball.covered), by_edge);
             let own = opacity * min(ball.weight * covered, 1.0);
             share *= (1.0 - own) * (1.0 - opacity * (1.0 - cone.beside));
             blocked += own;

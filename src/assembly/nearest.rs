@@ -71,14 +71,14 @@ impl Request<'_> {
 
 /// Results in the order of the search, and the place of each row among them.
 #[derive(Debug)]
-pub struct Answers<T> {
+pub struct NearestResults<T> {
     results: Vec<T>,
     places: Vec<u32>,
     rows: usize,
     is_paired: bool,
 }
 
-impl<T: Copy + Sync> Answers<T> {
+impl<T: Copy + Sync> NearestResults<T> {
     /// One value of each result, in the order of configurations and points.
     pub fn column<V: Zeroable + Copy + Send>(&self, value: impl Fn(&T) -> V + Sync) -> Result<Vec<V>, Error> {
         let mut column = zeroed_rows("results", self.results.len())?;
@@ -98,7 +98,7 @@ pub fn nearest<T: Zeroable + Copy + Send + Sync>(
     request: &Request<'_>,
     keep: impl Fn(Found) -> T + Sync,
     progress: &Progress,
-) -> Result<Answers<T>, Error> {
+) -> Result<NearestResults<T>, Error> {
     let rows = request.rows();
     if u32::try_from(rows).is_err() {
         let problem = format!("at most {} at a time, got {rows}", u32::MAX);
@@ -155,7 +155,7 @@ pub fn nearest<T: Zeroable + Copy + Send + Sync>(
     for (order, places) in orders.iter().zip(places.chunks_mut(rows.max(1))) {
         order.iter().enumerate().for_each(|(place, &row)| places[row as usize] = place as u32);
     }
-    Ok(Answers { results, places, rows: rows.max(1), is_paired: request.is_paired })
+    Ok(NearestResults { results, places, rows: rows.max(1), is_paired: request.is_paired })
 }
 
 /// One searched geometry in the current configuration.

@@ -103,9 +103,9 @@ fn plan_shelves(
                 .iter()
                 .filter_map(|wrap| {
                     let width = (wrap.columns * tile[0]).next_multiple_of(align);
-                    let (place, left) = pages[page].best_fit(width, wrap.rows * tile[1])?;
+                    let (place, remaining) = pages[page].best_fit(width, wrap.rows * tile[1])?;
                     // Wide blocks keep the texels of a row together in memory.
-                    Some(((wrap.unused, left, std::cmp::Reverse(wrap.columns)), (wrap.columns, place)))
+                    Some(((wrap.unused, remaining, std::cmp::Reverse(wrap.columns)), (wrap.columns, place)))
                 })
                 .min_by_key(|(score, _)| *score);
             match best {

@@ -61,10 +61,13 @@ impl FreeArea {
             .iter()
             .filter(|free| width <= free.width && height <= free.height)
             .map(|free| {
-                let left = [free.width - width, free.height - height];
-                (Rectangle { x: free.x, y: free.y, width, height }, [left[0].min(left[1]), left[0].max(left[1])])
+                let remaining = [free.width - width, free.height - height];
+                (
+                    Rectangle { x: free.x, y: free.y, width, height },
+                    [remaining[0].min(remaining[1]), remaining[0].max(remaining[1])],
+                )
             })
-            .min_by_key(|(place, left)| (*left, place.y, place.x))
+            .min_by_key(|(place, remaining)| (*remaining, place.y, place.x))
     }
 
     /// Removes a rectangle from the free area.

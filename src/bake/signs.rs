@@ -92,7 +92,7 @@ impl SignPass<'_> {
             SignRule::Counted(openings) => self.count_slab(first_plane, planes, openings, mark),
             SignRule::Parity => self.vote_slab(first_plane, planes, mark),
             SignRule::Winding => self.wind_slab(first_plane, planes, mark),
-            SignRule::Pseudonormal | SignRule::Normal => self.look_slab(first_plane, planes, mark),
+            SignRule::Pseudonormal | SignRule::Normal => self.search_slab(first_plane, planes, mark),
             SignRule::Unsigned => {
                 let [nx, ny] = self.plane();
                 self.progress.advance((nx * ny * planes) as u64)?;
@@ -102,7 +102,7 @@ impl SignPass<'_> {
     }
 
     /// Marks the samples inside by their closest points, for the rules that use them.
-    fn look_slab(&self, first_plane: usize, planes: usize, mark: &mut impl FnMut(usize)) -> Result<Counts, Error> {
+    fn search_slab(&self, first_plane: usize, planes: usize, mark: &mut impl FnMut(usize)) -> Result<Counts, Error> {
         let [nx, ny] = self.plane();
         let mut counts = Counts::default();
         for row in 0..ny * planes {

@@ -216,8 +216,8 @@ impl PointCloud {
                 let inverse = 1.0 / squares[i];
                 let square = moments.children.far_squared[i] * inverse;
                 let t = square.sqrt();
-                let left = 1.0 - t;
-                let rest = square * (3.0 - (t + t)) / (left * left);
+                let gap = 1.0 - t;
+                let rest = square * (3.0 - (t + t)) / (gap * gap);
                 errors[i] = moments.total[i] * inverse * (rest + ROUNDING[0] + ROUNDING[1] * t);
                 far[i] = (t < limit) & (squares[i] > LEAST_SQUARED);
             }

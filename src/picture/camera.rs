@@ -270,17 +270,17 @@ pub(crate) mod tests {
                 let lower = DVec3::from_array(lower);
                 let upper = lower + DVec3::from_array(sides);
                 let [columns, lines] = camera.window([lower, upper], size);
-                let (mut inside, mut met) = (0, 0);
+                let (mut inside, mut hit) = (0, 0);
                 for (y, x) in (0..size[1]).flat_map(|y| (0..size[0]).map(move |x| (y, x))) {
                     let (start, way) = (camera.pixel_start(x, y, size), camera.pixel_direction(x, y, size));
                     let (a, b) = ((lower - start) / way, (upper - start) / way);
-                    let is_met = a.min(b).max_element().max(0.0) <= a.max(b).min_element();
+                    let is_hit = a.min(b).max_element().max(0.0) <= a.max(b).min_element();
                     let is_inside = columns.contains(&(x as usize)) && lines.contains(&(y as usize));
-                    assert!(is_inside || !is_met, "{x} {y}");
-                    (inside, met) = (inside + u32::from(is_inside), met + u32::from(is_met));
+                    assert!(is_inside || !is_hit, "{x} {y}");
+                    (inside, hit) = (inside + u32::from(is_inside), hit + u32::from(is_hit));
                 }
                 // A convex outline covers much of its rectangle, or the rectangle is small or the whole picture.
-                assert!(inside <= 4 * met + 100 || inside == size[0] * size[1], "{inside} pixels, {met} met");
+                assert!(inside <= 4 * hit + 100 || inside == size[0] * size[1], "{inside} pixels, {hit} hit");
             }
         }
     }

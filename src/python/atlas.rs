@@ -326,7 +326,7 @@ fn blocks<'a>(rows: &'a Blocks<'_>) -> PyResult<&'a [AtlasBlock]> {
 fn only(py: Python<'_>, rows: &Blocks<'_>) -> PyResult<AtlasBlock> {
     match blocks(rows)? {
         [block] => Ok(*block),
-        _ => Err(broken(py, "one block is wanted")),
+        _ => Err(broken(py, "one block is expected")),
     }
 }
 

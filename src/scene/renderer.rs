@@ -30,7 +30,7 @@ use crate::scene::light::bounces::Bounces;
 use crate::scene::light::far_field::Far;
 use crate::scene::light::light_rays::RayCounters;
 use crate::scene::light::lit_surface::Lights;
-use crate::scene::light::shadow::Casters;
+use crate::scene::light::shadow::TracedScene;
 use crate::scene::lighting::light_buffer::LightBuffer;
 use crate::scene::lighting::pass::Pass;
 use crate::scene::visibility::gbuffer::{GBuffer, Pixels};
@@ -188,7 +188,7 @@ struct Layers {
 
 /// The passes of one picture.
 struct Passes<'a> {
-    casters: &'a Casters<'a>,
+    traced: &'a TracedScene<'a>,
     camera: &'a Camera,
     lights: &'a Lights,
     bounces: Option<&'a Bounces<'a>>,
@@ -215,13 +215,13 @@ impl Passes<'_> {
         (buffer, direct): (Option<GBuffer>, Option<LightBuffer>),
         centre: Option<&Layers>,
     ) -> Result<Layers, Error> {
-        let &mut Self { casters, camera, options, device, progress, .. } = self;
+        let &mut Self { traced, camera, options, device, progress, .. } = self;
         let start = Instant::now();
         let buffer = match (buffer, device) {
             (Some(buffer), _) => buffer,
-            (None, None) => primary::draw(casters.scene, camera, options, offset, chosen, progress)?,
+            (None, None) => primary::draw(traced.scene, camera, options, offset, chosen, progress)?,
             (None, Some(device)) => {
-                device_raster::draw(casters.scene, device, camera, options, offset, chosen, progress)?
+                device_raster::draw(traced.scene, device, camera, options, offset, chosen, progress)?
             }
         };
         self.seconds[0].1 += start.elapsed().as_secs_f64();
@@ -243,7 +243,7 @@ impl Passes<'_> {
 
     fn pass<'b>(&'b self, buffer: &'b GBuffer) -> Pass<'b> {
         Pass {
-            casters: self.casters,
+            traced: self.traced,
             buffer,
             lights: self.lights,
             bounces: None,
@@ -296,13 +296,13 @@ fn draw(
     if options.shadows != SceneShadows::None || options.occlusion.is_some() || options.bounces.is_some() {
         scene.prepare_rays();
     }
-    let casters = Casters { scene, far, near: None };
+    let traced = TracedScene { scene, far, near: None };
     let lights = Lights::new(scene, options);
-    let bounces = Bounces::new(&casters, &lights, options, progress)?;
+    let bounces = Bounces::new(&traced, &lights, options, progress)?;
     let mut seconds = vec![("primary", 0.0), ("light", 0.0)];
     seconds.extend(bounces.is_some().then_some(("bounces", 0.0)));
     let mut passes = Passes {
-        casters: &casters,
+        traced: &traced,
         camera,
         lights: &lights,
         bounces: bounces.as_ref(),
@@ -325,7 +325,7 @@ fn draw(
     }
     let primary_on = match device {
         None => [false, true],
-        Some(device) => [true, device_raster::left_over(scene, device, options).is_some()],
+        Some(device) => [true, device_raster::drawn_on_cpu(scene, device, options).is_some()],
     };
     let [all_rays, far_rays] = passes.counters.counts();
     let is_lit_on_device = passes.light_device().is_some();

@@ -195,12 +195,12 @@ impl Openings {
     /// cap, or passes through an edge or a vertex. Reads the tables of rays.
     pub fn winding_by_ray(&self, mesh: &Mesh, p: DVec3) -> Option<i32> {
         let bounds = mesh.bvh().bounds;
-        let ways = [(p - bounds.min.as_dvec3(), -1.0), (bounds.max.as_dvec3() - p, 1.0)];
+        let to_sides = [(p - bounds.min.as_dvec3(), -1.0), (bounds.max.as_dvec3() - p, 1.0)];
         let (mut axis, mut towards, mut shortest) = (0, 1.0, f64::INFINITY);
         for i in 0..3 {
-            for (way, sign) in ways {
-                if way[i] < shortest {
-                    (axis, towards, shortest) = (i, sign, way[i]);
+            for (to_side, sign) in to_sides {
+                if to_side[i] < shortest {
+                    (axis, towards, shortest) = (i, sign, to_side[i]);
                 }
             }
         }
@@ -335,14 +335,14 @@ impl Openings {
             let reach = distance - node.radius;
             let (fourth, square) = (reach.powi(4), node.radius * node.radius);
             if reach > radius && 3.0 * square <= share * fourth {
-                let left = reach - radius;
+                let gap = reach - radius;
                 let trace = node.moment.x_axis.x + node.moment.y_axis.y + node.moment.z_axis.z;
                 let along = to.dot(node.moment * to) / (distance * distance);
                 found.sum += (node.vector.dot(to) + trace - 3.0 * along) / (distance * distance * distance);
                 found.error += 3.0 * node.area * square / fourth;
                 found.clear = found.clear.min(reach);
-                let by_rim = node.rim / (left * left);
-                found.slope += if node.is_whole { by_rim.min(2.0 * node.area / (left * left * left)) } else { by_rim };
+                let by_rim = node.rim / (gap * gap);
+                found.slope += if node.is_whole { by_rim.min(2.0 * node.area / (gap * gap * gap)) } else { by_rim };
                 i = node.next;
                 continue;
             }

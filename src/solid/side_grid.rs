@@ -128,10 +128,10 @@ impl SideGrid {
     /// Marks the cells that faces enter. None if that would take too many comparisons.
     fn enter_faces(&mut self, mesh: &Mesh) -> Option<()> {
         let corners = |face: &[u32; 3]| face.map(|v| mesh.exact_position(v));
-        let mut left = COMPARISONS.0 * self.cells.len() + COMPARISONS.1 * mesh.faces().len();
+        let mut remaining = COMPARISONS.0 * self.cells.len() + COMPARISONS.1 * mesh.faces().len();
         for face in mesh.faces() {
             let [first, last] = self.range(corners(face));
-            left = left.checked_sub((last - first + 1).element_product() as usize)?;
+            remaining = remaining.checked_sub((last - first + 1).element_product() as usize)?;
         }
         let half = 0.5 / self.cells_per_unit;
         for face in mesh.faces() {
@@ -164,19 +164,19 @@ impl SideGrid {
     /// halved, the largest first, until it is uniform in them or the number of comparisons has reached its limit.
     fn enter_openings(&mut self, openings: &Openings) {
         let mut blocks = VecDeque::from([[UVec3::ZERO, self.shape]]);
-        let mut left = self.cells.len() / CELLS_PER_BLOCK;
+        let mut remaining = self.cells.len() / CELLS_PER_BLOCK;
         while let Some([first, end]) = blocks.pop_front() {
             let [lower, upper] = [first, end].map(|cell| self.lower + cell.as_dvec3() / self.cells_per_unit);
             let radius = 0.5 * (upper - lower).length() * (1.0 + ROUNDING);
-            if left > 0 {
-                left -= 1;
+            if remaining > 0 {
+                remaining -= 1;
                 if openings.is_uniform_within(0.5 * (lower + upper), radius) {
                     continue;
                 }
             }
             let size = end - first;
             let longest = size.max_element();
-            if left > 0 && longest > 1 {
+            if remaining > 0 && longest > 1 {
                 let axis = (0..3).find(|&axis| size[axis] == longest).unwrap_or(0);
                 let (mut middle_end, mut middle_first) = (end, first);
                 middle_end[axis] = first[axis] + longest / 2;

@@ -241,8 +241,8 @@ def test_a_mesh_shades_a_floor_of_any_width(shadows: str, width: float) -> None:
     corners = np.array([(-1, 0, -1), (1, 0, -1), (1, 0, 1), (-1, 0, 1)])
     ball = fb.sphere(0.5).translate((0, 0.55, 0))
     dark = []
-    for caster, side in ((ball, 10), (ball.to_mesh(48), width)):
-        scene = fb.Scene([caster, fb.Mesh(side * corners, [(0, 2, 1), (0, 3, 2)])], [fb.PointLight((1, 3, 1))])
+    for occluder, side in ((ball, 10), (ball.to_mesh(48), width)):
+        scene = fb.Scene([occluder, fb.Mesh(side * corners, [(0, 2, 1), (0, 3, 2)])], [fb.PointLight((1, 3, 1))])
         camera = fb.Camera((1.5, 2, 3), (0, 0.3, 0))
         frame = fb.render(scene, camera, size=(160, 120), shadows=shadows, device="cpu")
         dark.append((frame.object_id == 1) & (frame.shadow < 0.5))

@@ -394,8 +394,8 @@ class Assembly(JointedBodies):
                 )
         else:
             shape = (*lead, *shape)
-        wanted = range(len(self._bodies)) if bodies is None else self._body_rows("bodies", bodies).ravel().tolist()
-        searched = np.isin(self._element_rows, np.fromiter(wanted, np.int64)).tolist()
+        requested = range(len(self._bodies)) if bodies is None else self._body_rows("bodies", bodies).ravel().tolist()
+        searched = np.isin(self._element_rows, np.fromiter(requested, np.int64)).tolist()
         return flat, shape, np.ascontiguousarray(array.reshape(-1, 4, 4)), searched
 
     def _checked_poses(self, poses: ArrayLike | None) -> NDArray[np.float64]:

@@ -93,8 +93,10 @@ def _ordered(names: Sequence[str], parents: NDArray[np.int64]) -> tuple[int, ...
     for i in order:
         order.extend(children[i])
     if len(order) < len(names):
-        left = sorted(set(range(len(names))) - set(order))
-        raise ArgumentError(f"joints: the bodies {[names[i] for i in left]} are in a cycle of joints, or below one")
+        remaining = sorted(set(range(len(names))) - set(order))
+        raise ArgumentError(
+            f"joints: the bodies {[names[i] for i in remaining]} are in a cycle of joints, or below one"
+        )
     return tuple(order)
 
 

@@ -233,7 +233,7 @@ class PageStore:
             with progress_callback(progress, "pack") as callback:
                 # A device fills new pages only.
                 packed = None
-                if count and not self._page_count and _is_worth_it([volume for volume, _ in items], device):
+                if count and not self._page_count and _packs_on_device([volume for volume, _ in items], device):
                     packed = _core.atlas_pack_device(
                         rows,
                         [volume._source(device) for volume, _ in items],
@@ -330,7 +330,7 @@ class PageStore:
         self._lock = threading.RLock()
 
 
-def _is_worth_it(volumes: list[Volume], device: str) -> bool:
+def _packs_on_device(volumes: list[Volume], device: str) -> bool:
     """Whether to pack on this device: if the user names it, or if all volumes are in its memory already."""
     if device == "cpu":
         return False
@@ -355,13 +355,13 @@ def checked_item(
         return geometry.to_volume(), placed
     if isinstance(geometry, Volume):
         return geometry, placed
-    wanted = f"volumes[{i}]: must be a volume, a mesh, a shape, or a pair of one of these and a (4, 4) transform"
+    expected = f"volumes[{i}]: must be a volume, a mesh, a shape, or a pair of one of these and a (4, 4) transform"
     if hasattr(geometry, "to_volume"):
-        raise ArgumentError(f"{wanted}, got {checks.describe(geometry)}")
+        raise ArgumentError(f"{expected}, got {checks.describe(geometry)}")
     try:
         return bake(geometry, resolution), placed
     except MeshError as error:
-        raise ArgumentError(f"{wanted}, got {checks.describe(geometry)} ({error})") from None
+        raise ArgumentError(f"{expected}, got {checks.describe(geometry)} ({error})") from None
 
 
 def name_of(item: object) -> str:
@@ -379,7 +379,7 @@ def checked_name(argument: str, value: object) -> str:
 
 def fitting_page(shapes: list[tuple[int, int, int]], layout: Layout, gutter: int, encoding: Encoding) -> int:
     """Choose the side of a page for these shapes: the smallest power of two, at most `MAX_FITTING_PAGE`."""
-    wanted = np.array(shapes, np.uint32).reshape(-1, 3)
+    sizes = np.array(shapes, np.uint32).reshape(-1, 3)
     taken = rows_of(np.zeros(0, BLOCK))
     options: dict[str, Any] = {"layout": layout, "gutter": gutter, "encoding": encoding}
     # No page is smaller than the number of texels of the volumes.
@@ -387,7 +387,7 @@ def fitting_page(shapes: list[tuple[int, int, int]], layout: Layout, gutter: int
     size = 1 << max(2, (math.isqrt(area) - 1).bit_length())
     while size < MAX_FITTING_PAGE:
         try:
-            blocks = blocks_of(_core.atlas_plan(wanted, taken, page_size=size, **options))
+            blocks = blocks_of(_core.atlas_plan(sizes, taken, page_size=size, **options))
         except AtlasError:  # A volume is larger than the page.
             size *= 2
             continue

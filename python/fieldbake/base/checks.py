@@ -36,14 +36,14 @@ def describe(value: object) -> str:
 
 def number(name: str, value: object, *, above: float | None = None, least: float | None = None) -> float:
     """Check a real number that float32 can represent, optionally bounded below."""
-    wanted = "a finite number"
+    expected = "a finite number"
     if above is not None:
-        wanted += f" above {above:g}"
+        expected += f" above {above:g}"
     if least is not None:
-        wanted += f" of at least {least:g}"
-    result = _real(name, value, wanted)
+        expected += f" of at least {least:g}"
+    result = _real(name, value, expected)
     if not abs(result) <= FAR or (above is not None and result <= above) or (least is not None and result < least):
-        raise ArgumentError(f"{name}: must be {wanted} (at most {FAR:g}), got {describe(value)}")
+        raise ArgumentError(f"{name}: must be {expected} (at most {FAR:g}), got {describe(value)}")
     return result
 
 
@@ -55,15 +55,15 @@ def limit(name: str, value: object) -> float:
     return result
 
 
-def _real(name: str, value: Any, wanted: str) -> float:
-    """Convert a real number; ``wanted`` is the wording of the message. NaN and infinities are left to the caller."""
+def _real(name: str, value: Any, expected: str) -> float:
+    """Convert a real number; ``expected`` is the wording of the message. NaN and infinities are left to the caller."""
     try:
         # float() drops the imaginary part of a NumPy complex number with a warning only.
         if isinstance(value, (bool, str, bytes, np.bool_)) or _is_complex_array(value):
             raise TypeError
         return float(value)
     except (TypeError, ValueError, OverflowError):
-        raise ArgumentError(f"{name}: must be {wanted}, got {describe(value)}") from None
+        raise ArgumentError(f"{name}: must be {expected}, got {describe(value)}") from None
 
 
 def _is_complex_array(value: Any) -> bool:
@@ -187,11 +187,11 @@ def items(name: str, value: Any, of: str, error: type[Error] = ArgumentError) ->
         raise error(f"{name}: must be an iterable of {of}, got {describe(value)}") from None
 
 
-def choice(name: str, value: object, wanted: Sequence[str], error: type[Error] = ArgumentError) -> Any:
+def choice(name: str, value: object, words: Sequence[str], error: type[Error] = ArgumentError) -> Any:
     """Check that a value is one of a few words."""
-    if not isinstance(value, str) or value not in wanted:
-        words = ", ".join(f'"{word}"' for word in wanted)
-        raise error(f"{name}: must be one of {words}, got {describe(value)}")
+    if not isinstance(value, str) or value not in words:
+        listed = ", ".join(f'"{word}"' for word in words)
+        raise error(f"{name}: must be one of {listed}, got {describe(value)}")
     return value
 
 

@@ -98,22 +98,22 @@ def make_grid(
         if outer is None:
             raise ArgumentError(f"shape: is empty, with the box {box.tolist()}; its parts do not overlap")
         raise ArgumentError(f"bounds: the box is the point {box[0].tolist()}, which has no voxels")
-    wanted = extent * (1 + margin) if outer is None else extent
+    covered = extent * (1 + margin) if outer is None else extent
     border_voxels = (2.0 if outer is None else 0.0) * np.broadcast_to(np.asarray(border, dtype=np.float64), 3)
 
     if voxel_size is not None:
-        return _cubic(center, extent, wanted, border_voxels, voxel_size, "voxel_size")
+        return _cubic(center, extent, covered, border_voxels, voxel_size, "voxel_size")
     try:
         sides = list(resolution)  # type: ignore[arg-type]
     except TypeError:
-        return _cubic_from_count(center, extent, wanted, border_voxels, resolution)
+        return _cubic_from_count(center, extent, covered, border_voxels, resolution)
     if len(sides) != 3:
         raise ArgumentError(f"resolution: must be one whole number or three, got {checks.describe(resolution)}")
     shape = [checks.integer("resolution", n, least=1, most=MAX_SIDE) for n in sides]
     if outer is not None and not _flat(extent).any():
         # The corners stay as given, to the bit, so that the box of a volume makes the grid of that volume.
         return _grid(outer[0], outer[1], shape)
-    return _oblong(center, extent, wanted, border_voxels, shape)
+    return _oblong(center, extent, covered, border_voxels, shape)
 
 
 def check_count(grid: Grid) -> Grid:
@@ -133,29 +133,29 @@ def check_count(grid: Grid) -> Grid:
 def _cubic_from_count(
     center: NDArray[np.float64],
     extent: NDArray[np.float64],
-    wanted: NDArray[np.float64],
+    covered: NDArray[np.float64],
     border_voxels: NDArray[np.float64],
     resolution: object,
 ) -> Grid:
     count = checks.integer("resolution", resolution, least=1, most=MAX_SIDE)
-    spacing = float(wanted.max()) / count
+    spacing = float(covered.max()) / count
     if count > border_voxels.max():
         spacing = max(spacing, float((extent / (count - border_voxels)).max()))
     else:
         border_voxels = np.zeros(3)
-    return _cubic(center, extent, wanted, border_voxels, spacing, "resolution")
+    return _cubic(center, extent, covered, border_voxels, spacing, "resolution")
 
 
 def _cubic(
     center: NDArray[np.float64],
     extent: NDArray[np.float64],
-    wanted: NDArray[np.float64],
+    covered: NDArray[np.float64],
     border_voxels: NDArray[np.float64],
     spacing: float,
     argument: str,
 ) -> Grid:
-    """Make a grid of whole cubic voxels that covers ``wanted``, and ``extent`` with its border."""
-    counts = np.maximum(wanted, extent + border_voxels * spacing) / spacing
+    """Make a grid of whole cubic voxels that covers ``covered``, and ``extent`` with its border."""
+    counts = np.maximum(covered, extent + border_voxels * spacing) / spacing
     if not (counts < MAX_SIDE).all():
         raise ArgumentError(
             f"{argument}: with voxels of {spacing:g} the longest side has {counts.max():.3g} of them, at most "
@@ -169,14 +169,14 @@ def _cubic(
 def _oblong(
     center: NDArray[np.float64],
     extent: NDArray[np.float64],
-    wanted: NDArray[np.float64],
+    covered: NDArray[np.float64],
     border_voxels: NDArray[np.float64],
     shape: list[int],
 ) -> Grid:
     """Make a grid with the given numbers of voxels; each side is just long enough."""
     counts = np.array(shape, dtype=np.float64)
     inside = np.where(counts > border_voxels, counts - border_voxels, counts)
-    spacing = np.maximum(wanted / counts, extent / inside)
+    spacing = np.maximum(covered / counts, extent / inside)
     # A side without extent takes the voxel size of the others.
     spacing[_flat(extent)] = spacing.max()
     half = spacing * counts / 2

@@ -201,7 +201,7 @@ class SurfaceReport:
         Number of vertices that are not at the nearest point to their tangent planes: it lies outside their cell, and a
         face would fold there, or a sample would change its side.
     warnings : tuple of str
-        Reasons why the surface may not be the wanted one. Each is also issued as a :class:`SurfaceWarning`.
+        Reasons why the surface may not be the expected one. Each is also issued as a :class:`SurfaceWarning`.
     """
 
     clamped_vertices: int = 0

@@ -174,8 +174,8 @@ app = Application(
 )
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(is_requested: bool) -> None:
+    if is_requested:
         typer.echo(f"fieldbake {fb.__version__}")
         raise typer.Exit
 

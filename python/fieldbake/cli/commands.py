@@ -212,10 +212,10 @@ def bake(
             volume = save_field(volume, target, None, band, engine, mipmaps=mipmaps)
         else:
             volume = fb.bake(geometries, resolution, band=band, device=device, **surface)
-            wanted = None if encoding == "float32" else encoding
+            requested = None if encoding == "float32" else encoding
             is_texture = ending in writers.MIPMAPPED
-            is_stored = ending == ".npz" or (ending in writers.BANDED and not (is_texture and wanted is None))
-            volume = save_field(volume, target, wanted, band if is_stored else None, engine, mipmaps=mipmaps)
+            is_stored = ending == ".npz" or (ending in writers.BANDED and not (is_texture and requested is None))
+            volume = save_field(volume, target, requested, band if is_stored else None, engine, mipmaps=mipmaps)
     if not is_stream(output):
         show_rows(f"{output}", volume_rows(volume))
 

@@ -185,9 +185,9 @@ def read_array(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], na
             if side < 0:
                 raise FormatError(f"member '{name}' has the invalid shape {shape}")
             expected *= side
-        left = members[name].file_size - stream.tell()
-        if expected != left:
-            raise FormatError(f"member '{name}' should hold {expected} bytes for {shape} {dtype}, it has {left}")
+        remaining = members[name].file_size - stream.tell()
+        if expected != remaining:
+            raise FormatError(f"member '{name}' should hold {expected} bytes for {shape} {dtype}, it has {remaining}")
         array = np.empty(shape, dtype=dtype, order="F" if fortran_order else "C")
         if expected:
             _fill(stream, array)

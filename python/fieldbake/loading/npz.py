@@ -115,8 +115,8 @@ def _check_samples(header: dict[str, Any], samples: NDArray[Any], encoding: str,
     """Check that samples have the type and the grid that the header states."""
     dtype = encodings.DTYPES[encoding]
     if samples.dtype != dtype.newbyteorder("<") or samples.ndim != ndim or (ndim == 3 and samples.size == 0):
-        wanted = "(nx, ny, nz)" if ndim == 3 else "(n, 8, 8, 8)"
-        raise FormatError(f"distances must be {dtype} of shape {wanted}, got {checks.describe(samples)}")
+        expected = "(nx, ny, nz)" if ndim == 3 else "(n, 8, 8, 8)"
+        raise FormatError(f"distances must be {dtype} of shape {expected}, got {checks.describe(samples)}")
     if ndim == 3 and header.get("resolution") != list(samples.shape):
         raise FormatError(f"the header states {header.get('resolution')} voxels, the distances are {samples.shape}")
 
@@ -184,13 +184,13 @@ def make_atlas(
     _check_magnitude("pages", pages, atlas.encoding, 1.0)
 
     rows = len(arrays["blocks"]) if arrays["blocks"].ndim else 0
-    wanted: dict[str, tuple[tuple[int, ...], str]] = {
+    expected: dict[str, tuple[tuple[int, ...], str]] = {
         "blocks": ((rows, BLOCK_NUMBERS), "u4"),
         "boxes": ((rows, 4, 3), "f8"),
         "models": ((rows, 4, 4), "f8"),
         "scales": ((rows,), "f4"),
     }
-    for name, (shape, kind) in wanted.items():
+    for name, (shape, kind) in expected.items():
         array = arrays[name]
         if array.shape != shape or array.dtype != np.dtype(kind) or not array.flags.c_contiguous:
             raise FormatError(f"{name} must have shape {shape} and dtype {kind}, got {checks.describe(array)}")

@@ -90,6 +90,8 @@ def load_as(kind: type[_Kind], path: str | os.PathLike[str]) -> _Kind:
     """Read the object in a file, and check that it is of this kind."""
     found = load(path)
     if not isinstance(found, kind):
-        name, wanted = (f"{'an' if one[0] in 'AEIOU' else 'a'} {one}" for one in (type(found).__name__, kind.__name__))
-        raise FormatError(f"{checks.path(path)}: holds {name}, not {wanted}; use fieldbake.load")
+        name, expected = (
+            f"{'an' if one[0] in 'AEIOU' else 'a'} {one}" for one in (type(found).__name__, kind.__name__)
+        )
+        raise FormatError(f"{checks.path(path)}: holds {name}, not {expected}; use fieldbake.load")
     return found

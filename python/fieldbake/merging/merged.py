@@ -149,11 +149,11 @@ class MergedField(HasVolume, Viewable):
             if len(items) != count:
                 raise SceneError(f"scene: has {len(items)} instances, the field was merged from {count}; merge again")
             baked: dict[tuple[int, int], Volume] = {}
-            wanted = set(indices)
+            replaced = set(indices)
             rest = list(self._placed)
             return [
-                place(f"instances[{i}]", items[i], baked) if i in wanted else rest[i] for i in range(count)
-            ], sorted(wanted)
+                place(f"instances[{i}]", items[i], baked) if i in replaced else rest[i] for i in range(count)
+            ], sorted(replaced)
         placed = list(self._placed)
         touched = set()
         for number, item in enumerate(changed):

@@ -261,13 +261,13 @@ class NestedField(Loadable, Shaded, Convertible, Pictured):
     def _holding(self, points: NDArray[np.float64]) -> list[tuple[Volume, NDArray[np.bool_]]]:
         """List each level with the mask of the points that belong to it."""
         found = []
-        left = np.ones(len(points), np.bool_)
+        remaining = np.ones(len(points), np.bool_)
         for level in self._joined_levels()[:-1]:
             half = level.spacing / 2
-            held = left & ((points >= level.bounds[0] + half) & (points <= level.bounds[1] - half)).all(axis=1)
-            left &= ~held
+            held = remaining & ((points >= level.bounds[0] + half) & (points <= level.bounds[1] - half)).all(axis=1)
+            remaining &= ~held
             found.append((level, held))
-        return [*found, (self._joined_levels()[-1], left)]
+        return [*found, (self._joined_levels()[-1], remaining)]
 
     def _stored(self) -> list[tuple[NDArray[np.float32], Any, Any]]:
         """List the samples and the box of each level for the core."""
@@ -300,8 +300,8 @@ def nested_grids(outer: Grid, levels: int, center: NDArray[np.float64]) -> list[
         step = np.asarray(parent.spacing)
         first_of_parent = np.array(parent.lower) + step / 2
         # The outermost samples of the finer grid are n - 1 steps of half the length apart.
-        wanted = (center - (shape - 1) * step / 4 - first_of_parent) / step
-        start = np.clip(np.rint(wanted), 1, shape - 2 - (shape // 2))
+        exact = (center - (shape - 1) * step / 4 - first_of_parent) / step
+        start = np.clip(np.rint(exact), 1, shape - 2 - (shape // 2))
         lower = first_of_parent + start * step - step / 4
         upper = lower + shape * step / 2
         grids.append(Grid(checks.triple(lower), checks.triple(upper), parent.shape))

@@ -94,7 +94,7 @@ class Drawing:
         return replace(report, undecided_voxels=uncertain, warnings=(*report.warnings, *self.warnings))
 
     def surface_instead(self, n: int) -> Array:
-        """Draw points and normals of the surface where sharp edges were wanted and none exists, (n, 6)."""
+        """Draw points and normals of the surface where sharp edges were requested and none exists, (n, 6)."""
         self.warnings.append("no edge is sharp, so the points for sharp edges are points of the surface")
         return _with_normals(self.surface(n))
 

@@ -58,12 +58,12 @@ class StoredSamples(GridField):
         return 4 * nx * ny * nz
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
-        wanted = np.dtype(np.float32 if dtype is None else dtype)
-        if wanted == self._distances.dtype and not copy:
+        requested = np.dtype(np.float32 if dtype is None else dtype)
+        if requested == self._distances.dtype and not copy:
             return self._distances[...]
         if copy is False:
-            raise ValueError(f"distances are float32: {wanted} needs a copy")
-        return np.array(self._distances, dtype=wanted)
+            raise ValueError(f"distances are float32: {requested} needs a copy")
+        return np.array(self._distances, dtype=requested)
 
     @property
     def __array_interface__(self) -> dict[str, Any]:

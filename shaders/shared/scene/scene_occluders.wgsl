@@ -156,7 +156,7 @@ fn begin_walk(beam: Beam) -> Walk {
 }
 
 // The next occluder whose box the beam enters; NO_INSTANCE at the end.
-fn next_caster(walk: ptr<function, Walk>, beam: Beam) -> Occluder {
+fn next_occluder(walk: ptr<function, Walk>, beam: Beam) -> Occluder {
     if HAS_FAR && (*walk).again != NO_INSTANCE {
         let again = Occluder((*walk).again, vec2f((*walk).split.rest, beam.t_max), 0.0);
         (*walk).again = NO_INSTANCE;
@@ -235,10 +235,10 @@ fn next_level(walk: ptr<function, Walk>, beam: Beam) -> Occluder {
 }
 
 // The t at which a beam enters an occluder, or -1.
-fn hit_of(caster: Occluder, ray: FieldRay) -> f32 {
-    let to = &instances[caster.index];
+fn hit_of(occluder: Occluder, ray: FieldRay) -> f32 {
+    let to = &instances[occluder.index];
     let field = fields[(*to).field];
-    var part = caster.part;
+    var part = occluder.part;
     var found = -1.0;
     // A hit at the start of a level of the far field is skipped, and a second round searches behind it. The loop has
     // one march, because drivers inline functions.
@@ -248,8 +248,8 @@ fn hit_of(caster: Occluder, ray: FieldRay) -> f32 {
         let hit = field_hit(field, ray.origin + span.x * ray.direction, ray.direction, span.y - span.x);
         if hit < 0.0 { return -1.0; }
         found = hit + span.x;
-        if found != part.x || caster.skip == 0.0 { break; }
-        part.x += caster.skip;
+        if found != part.x || occluder.skip == 0.0 { break; }
+        part.x += occluder.skip;
     }
     return found;
 }

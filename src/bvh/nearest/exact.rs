@@ -83,15 +83,15 @@ impl<'a> ExactCandidates<'a> {
 
     /// Frees space: drops the faces beyond the limit, and compares the remaining faces if most are left.
     fn drop_beyond(&mut self, limit: f32) {
-        let mut left = 0;
+        let mut remaining = 0;
         for i in 0..self.count {
             if self.kept[i].0 <= limit {
-                self.kept[left] = self.kept[i];
-                left += 1;
+                self.kept[remaining] = self.kept[i];
+                remaining += 1;
             }
         }
-        self.count = left;
-        if left > KEPT / 2 {
+        self.count = remaining;
+        if remaining > KEPT / 2 {
             self.compare_kept();
         }
     }

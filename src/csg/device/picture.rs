@@ -146,9 +146,9 @@ impl ShapeView<'_> {
         if self.is_eye_inside {
             let unit = self.camera.pixel_direction(x as u32, y as u32, self.options.size).normalize().as_vec3();
             let p = self.tracer.solid.frame.local(self.camera.eye).as_vec3();
-            let seen = VisiblePoint { p, depth: 0.0, normal: -unit, part: None };
-            return self.finish(x, row, &seen, unit, |to_light| {
-                self.share_that_arrives(p, seen.normal, to_light, &mut scratch.march)
+            let visible = VisiblePoint { p, depth: 0.0, normal: -unit, part: None };
+            return self.finish(x, row, &visible, unit, |to_light| {
+                self.share_that_arrives(p, visible.normal, to_light, &mut scratch.march)
             });
         }
         let ray = self.rays.through(x, y);
@@ -163,8 +163,8 @@ impl ShapeView<'_> {
             .then(|| self.tracer.normal(p, ray.direction, hit.part, &mut scratch.slope))
             .flatten()
             .unwrap_or(-ray.direction);
-        let seen = VisiblePoint { p, depth: self.rays.depth(&ray, hit.t), normal, part: Some(hit.part) };
-        self.finish(x, row, &seen, ray.direction, |to_light| {
+        let visible = VisiblePoint { p, depth: self.rays.depth(&ray, hit.t), normal, part: Some(hit.part) };
+        self.finish(x, row, &visible, ray.direction, |to_light| {
             self.share_that_arrives(p, normal, to_light, &mut scratch.march)
         });
     }
@@ -174,19 +174,19 @@ impl ShapeView<'_> {
         &self,
         x: usize,
         row: &mut Row<'_>,
-        seen: &VisiblePoint,
+        visible: &VisiblePoint,
         direction: Vec3,
         share_that_arrives: impl FnMut(Vec3) -> f32,
     ) {
-        let painted = seen.part.and_then(|part| self.tracer.color(seen.p, part));
+        let painted = visible.part.and_then(|part| self.tracer.color(visible.p, part));
         let color = painted.map_or(self.options.color, Vec3::from_array);
-        let point = self.options.lit_point(seen.normal, -direction, color);
+        let point = self.options.lit_point(visible.normal, -direction, color);
         let shadow = &mut row.shadow[x * row.lights..][..row.lights];
         let color = lit(&point, self.options, self.lights, shadow, share_that_arrives);
 
         row.color[4 * x..][..4].copy_from_slice(&[color.x, color.y, color.z, 1.0]);
-        row.depth[x] = seen.depth as f32;
-        row.normal[3 * x..][..3].copy_from_slice(&seen.normal.to_array());
+        row.depth[x] = visible.depth as f32;
+        row.normal[3 * x..][..3].copy_from_slice(&visible.normal.to_array());
         row.object_id[x] = 0;
     }
 

@@ -232,7 +232,7 @@ fn differences(mut pieces: Vec<Piece>, b: &Operand, join: &Join<'_>) -> (Vec<Pie
     let growth = (0.5 * margin).min(MARGIN * join.size);
     for cut in cuts {
         let zone = grown(&cut.bounds, growth);
-        let mut left = Vec::new();
+        let mut remaining = Vec::new();
         for piece in &pieces {
             let common = intersection(&piece.bounds, &zone);
             let is_apart = || {
@@ -240,16 +240,16 @@ fn differences(mut pieces: Vec<Piece>, b: &Operand, join: &Join<'_>) -> (Vec<Pie
                 is_empty(&intersection(&[filled.lower, filled.upper], &cut.bounds))
             };
             if is_empty(&common) || is_apart() {
-                left.push(piece.clone());
-            } else if left.len() + pieces.len() > MAX_PIECES {
+                remaining.push(piece.clone());
+            } else if remaining.len() + pieces.len() > MAX_PIECES {
                 // The tree of the cut is valid only near its own box, the tree of `b` everywhere.
-                left.push(Piece { bounds: piece.bounds, tokens: join.tokens(&piece.tokens, &b.tokens) });
+                remaining.push(Piece { bounds: piece.bounds, tokens: join.tokens(&piece.tokens, &b.tokens) });
             } else {
-                left.push(Piece { bounds: common, tokens: join.tokens(&piece.tokens, &cut.tokens) });
-                left.extend(around(piece, &common));
+                remaining.push(Piece { bounds: common, tokens: join.tokens(&piece.tokens, &cut.tokens) });
+                remaining.extend(around(piece, &common));
             }
         }
-        pieces = left;
+        pieces = remaining;
     }
     (pieces, growth.min(margin - growth))
 }

@@ -380,19 +380,19 @@ fn combined(
 
     if beaten(&first, &second) || drowned(&first, &second) {
         let is_inverted = drowned(&first, &second);
-        let mut left = keep(a, b, kept);
+        let mut remaining = keep(a, b, kept);
         if is_inverted {
-            negate(&mut left, kept);
+            negate(&mut remaining, kept);
         }
-        return left;
+        return remaining;
     }
     if beaten(&second, &first) || drowned(&second, &first) {
         let is_inverted = drowned(&second, &first) || op == Op::Difference;
-        let mut left = keep(b, a, kept);
+        let mut remaining = keep(b, a, kept);
         if is_inverted {
-            negate(&mut left, kept);
+            negate(&mut remaining, kept);
         }
-        return left;
+        return remaining;
     }
 
     kept.push(token);
@@ -419,13 +419,13 @@ fn combined(
     }
 }
 
-/// Drops the tokens of `gone`, which are adjacent to the tokens of `left`.
-fn keep(left: CellOperand, gone: CellOperand, kept: &mut Vec<Token>) -> CellOperand {
-    if gone.start > left.start {
+/// Drops the tokens of `gone`, which are adjacent to the tokens of `remaining`.
+fn keep(remaining: CellOperand, gone: CellOperand, kept: &mut Vec<Token>) -> CellOperand {
+    if gone.start > remaining.start {
         kept.truncate(gone.start);
-        left
+        remaining
     } else {
-        kept.drain(gone.start..left.start);
-        CellOperand { start: gone.start, ..left }
+        kept.drain(gone.start..remaining.start);
+        CellOperand { start: gone.start, ..remaining }
     }
 }

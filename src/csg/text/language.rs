@@ -390,13 +390,13 @@ impl<'a> ReadForm<'a> {
         if (least..=most).contains(&got) {
             return Ok(());
         }
-        let wanted = match (least, most) {
+        let expected = match (least, most) {
             (_, 0) => "no shape".to_owned(),
             (1, 1) => "one shape".to_owned(),
             (least, usize::MAX) => format!("at least {least}"),
             (least, _) => format!("{least} shapes"),
         };
-        Err(self.start.error(format!("{name} takes {wanted}, got {got}")))
+        Err(self.start.error(format!("{name} takes {expected}, got {got}")))
     }
 }
 

@@ -31,14 +31,14 @@ pub(crate) enum NumberSource {
 impl Word {
     /// The arguments of the operation; `None` if the form takes another number of values.
     pub(crate) fn arguments(&self, numbers: &[f64]) -> Option<Vec<f64>> {
-        let mut left = numbers.iter().rev();
+        let mut remaining = numbers.iter().rev();
         let mut arguments = vec![0.0; self.slots.len()];
         // The arguments are computed from the last to the first, because a rim needs the argument behind it.
         for (i, slot) in self.slots.iter().enumerate().rev() {
             arguments[i] = match slot {
-                NumberSource::Full(_) => *left.next()?,
-                NumberSource::Half(_) => 0.5 * left.next()?,
-                NumberSource::Rim(_) => 0.5 * left.next()? - arguments[i + 1],
+                NumberSource::Full(_) => *remaining.next()?,
+                NumberSource::Half(_) => 0.5 * remaining.next()?,
+                NumberSource::Rim(_) => 0.5 * remaining.next()? - arguments[i + 1],
                 NumberSource::One => 1.0,
                 NumberSource::Zero | NumberSource::Same => 0.0,
             };
@@ -48,7 +48,7 @@ impl Word {
                 arguments[i] = arguments[i - 1];
             }
         }
-        left.next().is_none().then_some(arguments)
+        remaining.next().is_none().then_some(arguments)
     }
 
     /// The numbers that give these arguments; `None` if the form cannot express them.

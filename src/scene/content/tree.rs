@@ -242,13 +242,13 @@ mod tests {
             });
             for (bounds, seen) in boxes.iter().zip(seen) {
                 // Brute force: points along the axis compared with the box.
-                let met = (0..2000).any(|i| {
+                let is_hit = (0..2000).any(|i| {
                     let t = i as f32 * 0.005;
                     let p = origin + t * direction;
                     let nearest = p.clamp(bounds.min, bounds.max);
                     nearest.distance(p) <= start + slope * t
                 });
-                prop_assert!(seen || !met);
+                prop_assert!(seen || !is_hit);
             }
         }
     }

@@ -29,15 +29,15 @@ use std::sync::PoisonError;
 
 /// For each instance, whether the CPU must still draw it or some of its faces; None if the device draws all visible
 /// ones.
-pub(crate) fn left_over(scene: &Scene, device: &DeviceScene, options: &RenderOptions) -> Option<Vec<bool>> {
+pub(crate) fn drawn_on_cpu(scene: &Scene, device: &DeviceScene, options: &RenderOptions) -> Option<Vec<bool>> {
     let needs_cpu = |(i, instance): (usize, &Instance)| {
         instance.visible
             && (!is_drawn(instance, device.has_field(i), &scene.materials, options.primary)
                 || as_triangles(instance, options.primary)
                     && instance.own_materials(&scene.materials).iter().any(|m| !is_opaque(instance, m)))
     };
-    let left_over: Vec<bool> = scene.instances.iter().enumerate().map(needs_cpu).collect();
-    left_over.contains(&true).then_some(left_over)
+    let on_cpu: Vec<bool> = scene.instances.iter().enumerate().map(needs_cpu).collect();
+    on_cpu.contains(&true).then_some(on_cpu)
 }
 
 /// Whether a device draws an instance, or at least its opaque faces.
@@ -63,7 +63,7 @@ pub(crate) fn draw(
     progress: &Progress,
 ) -> Result<GBuffer, Error> {
     let view = View { camera: *camera, size: options.size, offset };
-    let left_over = left_over(scene, device, options);
+    let on_cpu = drawn_on_cpu(scene, device, options);
     let [width, height] = options.size;
     let band = (BAND_PIXELS / width).clamp(1, height);
     let mut buffer = GBuffer { rows: Vec::new(), steps: Vec::new(), view, visible: None };
@@ -78,7 +78,7 @@ pub(crate) fn draw(
                 let y = first + i as u32;
                 let row = draw_row(scene, options, &view, y, |ray, layers| {
                     if chosen.is_none_or(|chosen| chosen.contains(ray.x, y)) {
-                        resolve(ray, pixels[ray.x as usize], left_over.as_deref(), layers);
+                        resolve(ray, pixels[ray.x as usize], on_cpu.as_deref(), layers);
                     }
                 });
                 progress.advance(1)?;
@@ -100,7 +100,7 @@ const RAN_OUT: u32 = 2;
 const IS_TRIANGLE: u32 = u32::MAX;
 
 /// The layers of a pixel, from the values that the device returned.
-fn resolve<'a>(ray: &mut PixelRay<'a>, visible: [u32; 4], left_over: Option<&'a [bool]>, layers: &mut Vec<Layer>) {
+fn resolve<'a>(ray: &mut PixelRay<'a>, visible: [u32; 4], on_cpu: Option<&'a [bool]>, layers: &mut Vec<Layer>) {
     let [item, word, depth, steps] = visible;
     let behind = match item.checked_sub(1) {
         None => None,
@@ -109,7 +109,7 @@ fn resolve<'a>(ray: &mut PixelRay<'a>, visible: [u32; 4], left_over: Option<&'a 
                 ray.face(item, word).map(|layer| Layer { is_from_device: true, ..layer })
             } else if word & RAN_OUT != 0 {
                 None
-            } else if ray.is_met_again(item) {
+            } else if ray.is_traced_again(item) {
                 if word & AT_START != 0 {
                     return ray.trace(layers, None);
                 }
@@ -124,8 +124,8 @@ fn resolve<'a>(ray: &mut PixelRay<'a>, visible: [u32; 4], left_over: Option<&'a 
         }
     };
     ray.steps += if steps == IS_TRIANGLE { 1 } else { steps.max(1) };
-    if left_over.is_some() {
-        ray.left_over = left_over;
+    if on_cpu.is_some() {
+        ray.searched = on_cpu;
         // The device drew opaque surfaces.
         ray.skips_opaque = true;
         ray.trace(layers, behind);

@@ -27,7 +27,7 @@ use crate::scene::fields::shader_variants::{BeamCases, GeometryKinds};
 use crate::scene::light::far_field::Far;
 use crate::scene::light::light_rays::{LightCone, LightRay, LightWork, SurfacePoint};
 use crate::scene::light::occlusion::Occluders;
-use crate::scene::light::shadow::Casters;
+use crate::scene::light::shadow::TracedScene;
 use glam::{Mat3, Vec3};
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -107,7 +107,7 @@ impl Fields {
         for field in fields_of(scene, far) {
             if let Entry::Vacant(new) = by_address.entry(address(field)) {
                 let place = tables.records.len() as u32;
-                new.insert((field.clone(), field.enter(&mut tables)?.then_some(place)));
+                new.insert((field.clone(), field.append_to(&mut tables)?.then_some(place)));
             }
         }
         Ok(Self {
@@ -239,10 +239,10 @@ impl DeviceScene {
     }
 
     /// The parameters of kernels that evaluate beams.
-    pub(crate) fn beam_params(casters: &Casters<'_>) -> BeamParams {
+    pub(crate) fn beam_params(traced: &TracedScene<'_>) -> BeamParams {
         let mut params = BeamParams { far: NO_FAR, ..BeamParams::default() };
-        if let Some(far) = casters.far {
-            params.far = casters.scene.instances.len() as u32;
+        if let Some(far) = traced.far {
+            params.far = traced.scene.instances.len() as u32;
             params.far_levels = far.levels.len() as u32;
             params.far_holds_all = u32::from(far.holds_all);
             params.far_distance = far.distance.map_or(BY_VOXELS, |distance| distance as f32);
@@ -253,13 +253,13 @@ impl DeviceScene {
     /// Fraction of each beam that passes. `has_wide` is whether some beams may be cones of occlusion.
     pub(crate) fn shares(
         &self,
-        casters: &Casters<'_>,
+        traced: &TracedScene<'_>,
         has_wide: bool,
         beams: &[Beam],
         progress: &Progress,
     ) -> Result<Vec<BeamResult>, Error> {
-        let params = Self::beam_params(casters);
-        let cases = BeamCases { has_far: casters.far.is_some(), has_wide };
+        let params = Self::beam_params(traced);
+        let cases = BeamCases { has_far: traced.far.is_some(), has_wide };
         let mut beam_results = vec![BeamResult::default(); beams.len()];
         let is_cone = |i: usize| beams[i].slope > 0.0;
         type Selection<'a> = &'a dyn Fn(usize, &BeamResult) -> bool;
@@ -282,18 +282,18 @@ impl DeviceScene {
             let mut work = LightWork::default();
             if beam.is_coarse == WIDE {
                 let mut occluders = Occluders::default();
-                casters.gather(&place, ray.t_max, &mut occluders);
-                beam_result.value = casters.wide_share(&place, &ray, &mut occluders, &mut work);
+                traced.gather(&place, ray.t_max, &mut occluders);
+                beam_result.value = traced.wide_share(&place, &ray, &mut occluders, &mut work);
             } else if beam.slope > 0.0 {
                 let cone = LightCone { place: &place, ray: &ray, slope: beam.slope };
                 if beam.is_coarse == 0 {
-                    let whole = casters.whole_cone(cone, &mut Vec::new(), &mut work);
+                    let whole = traced.whole_cone(cone, &mut Vec::new(), &mut work);
                     (beam_result.value, beam_result.is_proven) = (whole.share, u32::from(whole.is_proven));
                 } else {
-                    beam_result.value = casters.cone_share(cone, &casters.instances_in(cone), &mut work);
+                    beam_result.value = traced.cone_share(cone, &traced.instances_in(cone), &mut work);
                 }
             } else {
-                beam_result.value = casters.field_share(&place, &ray, &mut work);
+                beam_result.value = traced.field_share(&place, &ray, &mut work);
             }
             beam_result.is_far = work.far_rays;
         }

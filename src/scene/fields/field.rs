@@ -118,13 +118,13 @@ pub trait Field: Send + Sync {
     }
 
     /// Appends its data to the tables of a device; false if devices do not support the kind.
-    fn enter(&self, _tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
+    fn append_to(&self, _tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
         Ok(false)
     }
 
     /// Whether a hit that a device found must be computed again by the ray of the pixel on the CPU: for objects with
     /// parts, or with more precision than float32.
-    fn is_met_again(&self) -> bool {
+    fn is_traced_again(&self) -> bool {
         false
     }
 }
@@ -261,8 +261,8 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
         F::HAS_ANY_VALUES && !self.is_lipschitz()
     }
 
-    fn enter(&self, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
-        F::enter(self, tables)?;
+    fn append_to(&self, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
+        F::append_to(self, tables)?;
         Ok(true)
     }
 }
@@ -278,7 +278,7 @@ pub(crate) trait OnDevice: Blocks + Sized {
     }
 
     /// Appends a field that is prepared for rays to the tables of a device.
-    fn enter(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<(), DeviceError>;
+    fn append_to(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<(), DeviceError>;
 }
 
 /// A grid of distances that owns its samples, x fastest.
@@ -329,7 +329,7 @@ impl OnDevice for DenseField {
         spacing.max_element() <= MOST_OBLONG * spacing.min_element() && self.slope() <= LARGEST_SLOPE
     }
 
-    fn enter(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<(), DeviceError> {
+    fn append_to(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<(), DeviceError> {
         let marcher = field.marcher();
         tables.add_dense(marcher.field.grid(), marcher.field.samples(), marcher.empty())
     }

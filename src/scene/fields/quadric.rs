@@ -106,12 +106,12 @@ impl Field for QuadricField {
         UNITS as f32
     }
 
-    fn enter(&self, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
+    fn append_to(&self, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
         tables.add_quadric(&self.local)?;
         Ok(true)
     }
 
-    fn is_met_again(&self) -> bool {
+    fn is_traced_again(&self) -> bool {
         true
     }
 }

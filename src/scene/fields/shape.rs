@@ -186,12 +186,12 @@ impl Field for ShapeField {
         self.leaves > DISTANCES_UP_TO
     }
 
-    fn enter(&self, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
+    fn append_to(&self, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
         // Devices evaluate the whole shape, which is expensive with many leaves.
         if self.prefers_rays() { Ok(false) } else { tables.add_shape(self.solid()) }
     }
 
-    fn is_met_again(&self) -> bool {
+    fn is_traced_again(&self) -> bool {
         true
     }
 }

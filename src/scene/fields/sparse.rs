@@ -73,7 +73,7 @@ impl Blocks for SparseBricks {
 }
 
 impl OnDevice for SparseBricks {
-    fn enter(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<(), DeviceError> {
+    fn append_to(field: &SampledField<Self>, tables: &mut DeviceFields<'_>) -> Result<(), DeviceError> {
         let marcher = field.marcher();
         tables.add_sparse(marcher.field.view(), marcher.empty())
     }

@@ -24,7 +24,7 @@
 use super::emitters::Emitters;
 use super::light_rays::{GOLDEN_ANGLE, LightRay, LightWork, SurfacePoint, basis};
 use super::lit_surface::Lights;
-use super::shadow::Casters;
+use super::shadow::TracedScene;
 use crate::error::Error;
 use crate::progress::Progress;
 use crate::scene::content::options::{Ambient, BounceOptions, MAX_BOUNCES, RenderOptions, SceneShadows};
@@ -106,7 +106,7 @@ const NEGLIGIBLE: f32 = 1e-3;
 
 /// The data for indirect light in a picture.
 pub(crate) struct Bounces<'a> {
-    casters: Casters<'a>,
+    traced: TracedScene<'a>,
     lights: &'a Lights,
     ambient: &'a Ambient,
     emitters: Emitters,
@@ -119,17 +119,17 @@ pub(crate) struct Bounces<'a> {
 impl<'a> Bounces<'a> {
     /// None if the picture has no indirect light.
     pub(crate) fn new(
-        casters: &Casters<'a>,
+        traced: &TracedScene<'a>,
         lights: &'a Lights,
         options: &'a RenderOptions,
         progress: &Progress,
     ) -> Result<Option<Self>, Error> {
         let Some(bounces) = options.bounces else { return Ok(None) };
-        let scene = casters.scene;
+        let scene = traced.scene;
         let emits = scene.materials.iter().any(|material| material.unlit || material.emission != [0.0; 3]);
         Ok(Some(Self {
             // A far field has no colours.
-            casters: Casters { far: None, ..*casters },
+            traced: TracedScene { far: None, ..*traced },
             lights,
             ambient: &options.ambient,
             emitters: Emitters::new(scene, progress)?,
@@ -154,7 +154,7 @@ impl<'a> Bounces<'a> {
 
     /// The light along one path.
     fn along_path(&self, place: &SurfacePoint, sample: u32, samples: &Samples, work: &mut LightWork) -> Vec3 {
-        let scene = self.casters.scene;
+        let scene = self.traced.scene;
         let mut at = *place;
         let mut direction = lifted(&at, samples.on_disc(sample));
         let (mut weight, mut sum) = (Vec3::ONE, Vec3::ZERO);
@@ -165,7 +165,7 @@ impl<'a> Bounces<'a> {
                 // whose faces are in a regular order.
                 let along =
                     if bounce == 0 { (f64::from(sample) + value(0)) / f64::from(samples.count) } else { value(0) };
-                sum += weight * self.emitters.light(&self.casters, &at, [along, value(1)], work);
+                sum += weight * self.emitters.light(&self.traced, &at, [along, value(1)], work);
             }
             let is_last = bounce == self.options.count;
             if is_last && !self.has_glow {
@@ -176,7 +176,7 @@ impl<'a> Bounces<'a> {
                 direction = lifted(&at, value(2).sqrt() as f32 * Vec2::from_angle(angle));
             }
             let ray = LightRay { direction, t_max: f64::INFINITY };
-            let Some(hit) = self.casters.first_surface(&at, &ray, work) else {
+            let Some(hit) = self.traced.first_surface(&at, &ray, work) else {
                 sum += weight * self.ambient.from(direction.as_vec3());
                 break;
             };
@@ -200,7 +200,7 @@ impl<'a> Bounces<'a> {
             let (ray, _, color) = light.seen_from(place.p);
             let cosine = place.normal.dot(ray.direction.as_vec3());
             if cosine > 0.0 && color != Vec3::ZERO {
-                let share = if self.has_shadows { self.casters.ray_share(place, &ray, work) } else { 1.0 };
+                let share = if self.has_shadows { self.traced.ray_share(place, &ray, work) } else { 1.0 };
                 sum += share * cosine * color;
             }
         }

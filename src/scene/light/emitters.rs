@@ -18,7 +18,7 @@
 
 use super::light_hits::{LEAST_OPACITY, LightHit};
 use super::light_rays::{LightRay, LightWork, SurfacePoint};
-use super::shadow::Casters;
+use super::shadow::TracedScene;
 use crate::error::Error;
 use crate::memory::require_for;
 use crate::progress::Progress;
@@ -252,7 +252,7 @@ impl Emitters {
     /// 1, select the direction.
     pub(crate) fn light(
         &self,
-        casters: &Casters<'_>,
+        traced: &TracedScene<'_>,
         place: &SurfacePoint,
         at: [f64; 2],
         work: &mut LightWork,
@@ -263,11 +263,11 @@ impl Emitters {
         let start = if i == 0 { 0.0 } else { self.list[i - 1].end };
         let along = ((target - start) / (emitter.end - start)).clamp(0.0, 1.0);
         if let Lamp::Boxed(around, share) = &self.lamps[emitter.instance as usize] {
-            return light_of_object(casters, place, emitter.instance, (around, *share), [along, at[1]], work);
+            return light_of_object(traced, place, emitter.instance, (around, *share), [along, at[1]], work);
         }
         let u = along.sqrt();
         let weights = [1.0 - u, u * (1.0 - at[1]), u * at[1]];
-        let scene = casters.scene;
+        let scene = traced.scene;
         let instance = &scene.instances[emitter.instance as usize];
         let Some(triangles) = instance.triangles.as_deref() else { return Vec3::ZERO };
         let scene_from_tree = instance.tree_from_scene.inverse();
@@ -288,7 +288,7 @@ impl Emitters {
         }
         // The ray starts off its own surface.
         let lift = scene.lift(place.own, emitter.instance) / cosine;
-        let is_visible = casters
+        let is_visible = traced
             .first_surface(place, &ray, work)
             .is_none_or(|hit| hit.place.own == emitter.instance && hit.t >= t - lift - SAME_PLACE * t);
         let opacity = instance.face_shade.unwrap_or_else(|| instance.opacity * face.opacity(is_front));
@@ -302,7 +302,7 @@ impl Emitters {
 
 /// The light of a direction into the box of an object that a white surface reflects, RGB; see [`Emitters::light`].
 fn light_of_object(
-    casters: &Casters<'_>,
+    traced: &TracedScene<'_>,
     place: &SurfacePoint,
     item: u32,
     (around, share): (&LampBox, f64),
@@ -315,7 +315,7 @@ fn light_of_object(
     if arrives <= 0.0 {
         return Vec3::ZERO;
     }
-    match casters.first_surface(place, &ray, work).filter(|hit| hit.place.own == item) {
+    match traced.first_surface(place, &ray, work).filter(|hit| hit.place.own == item) {
         Some(hit) => hit.emission * balance(arrives, share * sides.density(place.p, ray.direction)),
         None => Vec3::ZERO,
     }

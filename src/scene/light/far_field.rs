@@ -31,7 +31,7 @@
 //!
 //! # Practice
 //!
-//! [`Far::new`] places a field in a scene, once per picture; [`super::shadow::Casters`] evaluates it.
+//! [`Far::new`] places a field in a scene, once per picture; [`super::shadow::TracedScene`] evaluates it.
 
 use super::light_rays::{LightRay, SurfacePoint, widest};
 use crate::error::{Error, SceneError};

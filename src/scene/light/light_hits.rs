@@ -7,7 +7,7 @@ use super::light_rays::{LightRay, LightWork, SurfacePoint};
 use super::lit_surface::{BIAS_FIELD, BIAS_TRIANGLE};
 use super::mesh_rays::is_skipped;
 use super::occluder::ray_in_field;
-use super::shadow::Casters;
+use super::shadow::TracedScene;
 use crate::bvh::rays::watertight::FaceHit;
 use crate::scene::content::instance::Instance;
 use crate::scene::content::model::Scene;
@@ -37,7 +37,7 @@ pub(crate) struct LightHit {
     pub emission: Vec3,
 }
 
-impl Casters<'_> {
+impl TracedScene<'_> {
     /// The first surface on a thin ray.
     pub(crate) fn first_surface(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> Option<LightHit> {
         let scene = self.scene;
@@ -57,8 +57,8 @@ impl Casters<'_> {
                 return limit;
             }
             let before = ray;
-            for caster in self.casters(item, place, &before, &Split::near(before.t_max)) {
-                if let Some(hit) = self.hit_from(&caster, place, &before, 0.0, work) {
+            for occluder in self.occluders(item, place, &before, &Split::near(before.t_max)) {
+                if let Some(hit) = self.hit_from(&occluder, place, &before, 0.0, work) {
                     ray.t_max = f64::from(hit.t);
                     nearest = Some((item, Hit::Field(hit)));
                     return hit.t;

@@ -4,7 +4,7 @@ use super::cone::visible_share;
 use super::light_rays::{LightRay, LightWork, SurfacePoint, basis, disc_point, toward};
 use super::occluder::{NearList, bias};
 use super::occlusion::Occluders;
-use super::shadow::Casters;
+use super::shadow::TracedScene;
 use super::transmission;
 use super::transmission::NO_LIGHT;
 use crate::picture::{Light, Spot};
@@ -198,21 +198,21 @@ impl<'a> LitSurface<'a> {
     /// if they are known. Returns the work.
     pub(crate) fn evaluate(
         &self,
-        casters: &Casters<'_>,
+        traced: &TracedScene<'_>,
         near: Option<&[NearList]>,
         lights: &Lights,
         options: &RenderOptions,
         occluders: &mut Occluders,
         found: &mut LightSampleMut<'_>,
     ) -> LightWork {
-        let (scene, place, mut work) = (casters.scene, &self.place, LightWork::default());
+        let (scene, place, mut work) = (traced.scene, &self.place, LightWork::default());
         *found.open = match options.occlusion {
             None => 1.0,
-            Some(distance) => casters.open_share(place, distance / scene.scale, occluders, &mut work),
+            Some(distance) => traced.open_share(place, distance / scene.scale, occluders, &mut work),
         };
         for (i, light) in lights.lights.iter().enumerate() {
             let (ray, slope, _) = light.seen_from(place.p);
-            let near = Casters { near: near.map(|near| &near[i]), ..*casters };
+            let near = TracedScene { near: near.map(|near| &near[i]), ..*traced };
             found.shares[i] = self.plain_share(&ray, options).unwrap_or_else(|| {
                 let share = self.visible_share(&near, place, &ray, slope, options, &mut work);
                 self.above_horizon(share, &ray, slope, options)
@@ -222,12 +222,12 @@ impl<'a> LitSurface<'a> {
                 let paths = self.paths(&ray, slope, options.shadows);
                 let mut sum = Vec3::ZERO;
                 for (path, slope) in &paths {
-                    let transmitted = self.transmitted(scene, path, casters.length_inside(place, path, &mut work));
+                    let transmitted = self.transmitted(scene, path, traced.length_inside(place, path, &mut work));
                     sum += match self.plain_visibility(found.shares[i], transmitted, options) {
                         Some(share) => share * transmitted,
                         None => {
                             transmitted
-                                * self.visible_share(casters, &self.place_behind(), path, *slope, options, &mut work)
+                                * self.visible_share(traced, &self.place_behind(), path, *slope, options, &mut work)
                         }
                     };
                 }
@@ -240,7 +240,7 @@ impl<'a> LitSurface<'a> {
     /// Visible fraction of a light from a place, in the mode of the picture's shadows.
     fn visible_share(
         &self,
-        casters: &Casters<'_>,
+        traced: &TracedScene<'_>,
         place: &SurfacePoint,
         ray: &LightRay,
         slope: f32,
@@ -249,9 +249,9 @@ impl<'a> LitSurface<'a> {
     ) -> f32 {
         match options.shadows {
             SceneShadows::None => 1.0,
-            SceneShadows::Hard => casters.ray_share(place, ray, work),
-            SceneShadows::Soft => casters.disc_share(place, ray, slope, work),
-            SceneShadows::Area(count) => casters.area_share(place, ray, slope, count, self.turn, work),
+            SceneShadows::Hard => traced.ray_share(place, ray, work),
+            SceneShadows::Soft => traced.disc_share(place, ray, slope, work),
+            SceneShadows::Area(count) => traced.area_share(place, ray, slope, count, self.turn, work),
         }
     }
 

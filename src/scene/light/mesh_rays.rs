@@ -24,7 +24,7 @@
 
 use super::far_field::Split;
 use super::light_rays::{LightRay, LightWork, SurfacePoint};
-use super::shadow::Casters;
+use super::shadow::TracedScene;
 use crate::bvh::rays::watertight;
 use crate::scene::content::instance::Instance;
 use crate::scene::content::model::Scene;
@@ -50,7 +50,7 @@ const SAME_DEPTH: f64 = 1e-9;
 /// Number of translucent crossings of one mesh that are compared by depth.
 const CROSSINGS: usize = 16;
 
-impl Casters<'_> {
+impl TracedScene<'_> {
     /// Fraction of a thin ray that the triangles of an instance let pass.
     pub(crate) fn past_faces(
         &self,

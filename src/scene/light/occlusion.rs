@@ -31,7 +31,7 @@ use super::cone::{AO_SLOPE, AO_TANGENT, BallAhead, ConeSum, WideCone, clearance,
 use super::light_rays::{LightCone, LightRay, LightWork, SurfacePoint, basis};
 use super::near_instances::{Beside, ConeOccluder, NearInstances};
 use super::occluder::bias;
-use super::shadow::Casters;
+use super::shadow::TracedScene;
 use crate::gpu::constants::scene_beams::{AO_CONES, AO_RING_COSINE, AO_RING_SINE, LEAST_BALL, MOST_WEIGHT};
 use crate::scene::content::model::Scene;
 use crate::scene::content::tree::Line;
@@ -267,7 +267,7 @@ fn ball_weight(cones: &[(Vec3, f32); AO_CONES], toward: Vec3, radius: f32) -> f3
     if factor * weights < MOST_WEIGHT * covered { factor * weights / covered } else { MOST_WEIGHT }
 }
 
-impl Casters<'_> {
+impl TracedScene<'_> {
     /// Fraction of the hemisphere above a place that no occluder within `distance`, scene units, covers.
     pub(crate) fn open_share(
         &self,
@@ -373,9 +373,9 @@ impl Casters<'_> {
             let wide = WideCone { beside: Beside { nearby, candidates, slope }, least_x: nearest.x, ball };
             // The sum has the thin rays of all instances, and nothing of the others.
             let (mut found, mut beside, mut own) = (1.0f32, 1.0f32, ConeSum::NEW);
-            for caster in self.casters(item, place, ray, &split) {
+            for occluder in self.occluders(item, place, ray, &split) {
                 let into = if prefers_rays { &mut sum } else { &mut own };
-                let past = self.add_cone(&caster, cone, 1.0, Some(&wide), into, work);
+                let past = self.add_cone(&occluder, cone, 1.0, Some(&wide), into, work);
                 (found, beside) = (found.min(past.x), beside.min(past.beside));
             }
             if !prefers_rays {

@@ -21,7 +21,7 @@ use super::cone::AO_TANGENT;
 use super::light_rays::{LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
 use super::lit_surface::{Lights, LitSurface};
 use super::mesh_rays::is_skipped;
-use super::shadow::Casters;
+use super::shadow::TracedScene;
 use crate::scene::content::instance::Instance;
 use crate::scene::content::model::Scene;
 use crate::scene::content::options::{RenderOptions, SceneShadows};
@@ -120,7 +120,7 @@ impl Scene {
     }
 }
 
-impl Casters<'_> {
+impl TracedScene<'_> {
     /// Whether triangles may block the light of a picture. The CPU traces them for all devices.
     pub(crate) fn needs_faces(&self, lights: &Lights, options: &RenderOptions) -> bool {
         let has_rays = match options.shadows {

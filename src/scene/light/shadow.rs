@@ -48,10 +48,10 @@ use crate::scene::content::model::Scene;
 use crate::scene::content::tree::Line;
 use crate::scene::fields::field::FieldHit;
 
-/// The occluders of a picture: the instances of a scene and, past a distance, one far field for all of them
+/// A scene as the rays and cones of light trace it: its instances and, past a distance, one far field for all of them
 /// ([`super::far_field`]).
 #[derive(Clone, Copy)]
-pub(crate) struct Casters<'a> {
+pub(crate) struct TracedScene<'a> {
     pub scene: &'a Scene,
     pub far: Option<&'a Far>,
     /// The instances that may block the light that is evaluated; `None` if all may.
@@ -68,7 +68,7 @@ enum Blocking {
     Fields,
 }
 
-impl<'a> Casters<'a> {
+impl<'a> TracedScene<'a> {
     /// Fraction of a thin ray that passes the triangles of meshes, and the fields of all other objects.
     pub(crate) fn ray_share(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
         let (share, is_far) = self.pass_ray(place, ray, Blocking::All, work);
@@ -97,8 +97,8 @@ impl<'a> Casters<'a> {
         let mut sum = ConeSum::NEW;
         self.walk(cone, &split, |item, limit| {
             let mut x = 1.0f32;
-            for caster in self.casters(item, place, ray, &split) {
-                x = x.min(self.decide_cone(&caster, cone, &mut sum, work).x);
+            for occluder in self.occluders(item, place, ray, &split) {
+                x = x.min(self.decide_cone(&occluder, cone, &mut sum, work).x);
             }
             if x < 1.0 {
                 in_cone.push(item);
@@ -107,7 +107,7 @@ impl<'a> Casters<'a> {
         });
         let is_far = split.far.is_some() && !sum.opaque.is_covered;
         if is_far {
-            for far in self.far_casters(&split, place, ray) {
+            for far in self.far_occluders(&split, place, ray) {
                 self.decide_cone(&far, cone, &mut sum, work);
                 if sum.opaque.is_covered {
                     break;
@@ -151,7 +151,7 @@ impl<'a> Casters<'a> {
     ) -> bool {
         let is_far = split.far.is_some() && sum.opaque.x > -1.0;
         if is_far {
-            for far in self.far_casters(split, cone.place, cone.ray) {
+            for far in self.far_occluders(split, cone.place, cone.ray) {
                 let x_limit = sum.opaque.x;
                 self.add_cone(&far, cone, x_limit, wide, sum, work);
                 if sum.opaque.x <= -1.0 {
@@ -166,7 +166,7 @@ impl<'a> Casters<'a> {
     /// occluder. For an occluder that is tested by thin rays, returns only whether the cone may touch it.
     pub(crate) fn add_cone(
         &self,
-        caster: &Occluder<'_>,
+        occluder: &Occluder<'_>,
         cone: LightCone<'_>,
         x_limit: f32,
         wide: Option<&WideCone<'_>>,
@@ -175,51 +175,57 @@ impl<'a> Casters<'a> {
     ) -> Cone {
         // The slope of a wide cone is a sine; rays in it need the tangent.
         let slope = if wide.is_some() { AO_TANGENT } else { cone.slope };
-        if let Some(found) = self.add_thin(caster, LightCone { slope, ..cone }, sum, work) {
+        if let Some(found) = self.add_thin(occluder, LightCone { slope, ..cone }, sum, work) {
             return found;
         }
         let found = match wide {
-            Some(wide) => self.wide_cone_past(caster, cone, wide, x_limit, work),
-            None => self.cone_past(caster, cone, x_limit, work),
+            Some(wide) => self.wide_cone_past(occluder, cone, wide, x_limit, work),
+            None => self.cone_past(occluder, cone, x_limit, work),
         };
-        sum.add(caster.instance, found);
+        sum.add(occluder.instance, found);
         found
     }
 
     /// Adds an occluder that is tested by thin rays. `None` for all others.
     fn add_thin(
         &self,
-        caster: &Occluder<'_>,
+        occluder: &Occluder<'_>,
         LightCone { place, ray, slope }: LightCone<'_>,
         sum: &mut ConeSum,
         work: &mut LightWork,
     ) -> Option<Cone> {
         work.steps += 1;
-        if !caster.field.prefers_rays() {
+        if !occluder.field.prefers_rays() {
             return None;
         }
-        if !caster.may_intersect(place, ray, slope) {
+        if !occluder.may_intersect(place, ray, slope) {
             return Some(Cone::FREE);
         }
-        sum.thin.block(caster.instance.shade, ray, slope, |thin| self.hit_of(caster, place, thin, work).is_some());
+        sum.thin.block(occluder.instance.shade, ray, slope, |thin| self.hit_of(occluder, place, thin, work).is_some());
         Some(Cone { x: 0.0, is_covered: false, beside: 1.0 })
     }
 
     /// Adds one occluder to the results of a cone to the whole light. The edge is known only as -1, 0 or 1 radii: the
     /// occluder covers the cone, leaves it free, or neither.
-    fn decide_cone(&self, caster: &Occluder<'_>, cone: LightCone<'_>, sum: &mut ConeSum, work: &mut LightWork) -> Cone {
-        if let Some(found) = self.add_thin(caster, cone, sum, work) {
+    fn decide_cone(
+        &self,
+        occluder: &Occluder<'_>,
+        cone: LightCone<'_>,
+        sum: &mut ConeSum,
+        work: &mut LightWork,
+    ) -> Cone {
+        if let Some(found) = self.add_thin(occluder, cone, sum, work) {
             return found;
         }
-        let Some(walk) = caster.cone_walk(cone, 1.0) else { return Cone::FREE };
+        let Some(walk) = occluder.cone_walk(cone, 1.0) else { return Cone::FREE };
         let mut steps = 0;
-        let found = match walk.decide(&mut steps, |from| self.walk_hit(caster, &walk, from, work)) {
+        let found = match walk.decide(&mut steps, |from| self.walk_hit(occluder, &walk, from, work)) {
             Decision::Free => Cone::FREE,
             Decision::Blocked(t) if walk.inside(t, None, &mut steps).0 <= -1.0 => Cone::COVERED,
             _ => Cone { x: 0.0, is_covered: false, beside: 1.0 },
         };
         work.steps += steps;
-        sum.add(caster.instance, found);
+        sum.add(occluder.instance, found);
         found
     }
 
@@ -266,8 +272,8 @@ impl<'a> Casters<'a> {
         let mut sum = ConeSum::NEW;
         for &item in in_cone {
             let x_limit = sum.x_limit(&self.scene.instances[item as usize]);
-            for caster in self.casters(item, cone.place, cone.ray, &split) {
-                self.add_cone(&caster, cone, x_limit, None, &mut sum, work);
+            for occluder in self.occluders(item, cone.place, cone.ray, &split) {
+                self.add_cone(&occluder, cone, x_limit, None, &mut sum, work);
             }
             if sum.opaque.x <= -1.0 {
                 break;
@@ -319,7 +325,7 @@ impl<'a> Casters<'a> {
             if share > 0.0 { limit } else { -1.0 }
         });
         let is_far = split.far.is_some() && share > 0.0 && blocking != Blocking::Faces;
-        if is_far && self.far_casters(&split, place, ray).any(|far| self.hit_of(&far, place, ray, work).is_some()) {
+        if is_far && self.far_occluders(&split, place, ray).any(|far| self.hit_of(&far, place, ray, work).is_some()) {
             share = 0.0;
         }
         (share, is_far)
@@ -327,10 +333,10 @@ impl<'a> Casters<'a> {
 
     /// Fraction of a thin ray that passes the field of an instance.
     fn past_field(&self, item: u32, place: &SurfacePoint, ray: &LightRay, split: &Split, work: &mut LightWork) -> f32 {
-        for caster in self.casters(item, place, ray, split) {
+        for occluder in self.occluders(item, place, ray, split) {
             work.steps += 1;
-            if self.hit_of(&caster, place, ray, work).is_some() {
-                return 1.0 - caster.instance.shade;
+            if self.hit_of(&occluder, place, ray, work).is_some() {
+                return 1.0 - occluder.instance.shade;
             }
         }
         1.0
@@ -349,7 +355,7 @@ impl<'a> Casters<'a> {
     }
 
     /// An instance on the intervals of a ray in which it is evaluated.
-    pub(crate) fn casters(
+    pub(crate) fn occluders(
         &self,
         item: u32,
         place: &SurfacePoint,
@@ -366,7 +372,7 @@ impl<'a> Casters<'a> {
     }
 
     /// The levels of the far field on their pieces of a ray.
-    fn far_casters(
+    fn far_occluders(
         &self,
         split: &Split,
         place: &'a SurfacePoint,
@@ -382,68 +388,74 @@ impl<'a> Casters<'a> {
     }
 
     /// The position at which a ray enters an occluder, scene units.
-    fn hit_of(&self, caster: &Occluder<'_>, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> Option<f32> {
-        self.hit_from(caster, place, ray, caster.part[0], work).map(|hit| hit.t)
+    fn hit_of(
+        &self,
+        occluder: &Occluder<'_>,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        work: &mut LightWork,
+    ) -> Option<f32> {
+        self.hit_from(occluder, place, ray, occluder.part[0], work).map(|hit| hit.t)
     }
 
     /// The first hit of a ray with an occluder at `from` or later, scene units.
     pub(crate) fn hit_from(
         &self,
-        caster: &Occluder<'_>,
+        occluder: &Occluder<'_>,
         place: &SurfacePoint,
         ray: &LightRay,
         from: f64,
         work: &mut LightWork,
     ) -> Option<FieldHit> {
-        let in_field = ray_in_field(caster.instance, caster.is_own, place, ray);
-        caster.hit_in_field(in_field, from, work)
+        let in_field = ray_in_field(occluder.instance, occluder.is_own, place, ray);
+        occluder.hit_in_field(in_field, from, work)
     }
 
     /// The position at which the axis of a cone enters an occluder at `from` or later, where the walk has found no
     /// surface before.
-    fn walk_hit(&self, caster: &Occluder<'_>, walk: &ConeWalk<'_>, from: f32, work: &mut LightWork) -> Option<f32> {
+    fn walk_hit(&self, occluder: &Occluder<'_>, walk: &ConeWalk<'_>, from: f32, work: &mut LightWork) -> Option<f32> {
         // If an occluder is entered at its first point, the length to skip is measured from there.
-        let from = if caster.skip > 0.0 { caster.part[0] } else { f64::from(from) };
-        caster.hit_in_field(walk.ray, from, work).map(|hit| hit.t)
+        let from = if occluder.skip > 0.0 { occluder.part[0] } else { f64::from(from) };
+        occluder.hit_in_field(walk.ray, from, work).map(|hit| hit.t)
     }
 
     /// Evaluates a cone of radius `slope t` past one occluder. Only edges closer to the axis than `x_limit` are
     /// relevant.
-    fn cone_past(&self, caster: &Occluder<'_>, cone: LightCone<'_>, x_limit: f32, work: &mut LightWork) -> Cone {
-        let Some(walk) = caster.cone_walk(cone, x_limit) else { return Cone::FREE };
+    fn cone_past(&self, occluder: &Occluder<'_>, cone: LightCone<'_>, x_limit: f32, work: &mut LightWork) -> Cone {
+        let Some(walk) = occluder.cone_walk(cone, x_limit) else { return Cone::FREE };
         let mut steps = 0;
-        let found = walk.beside(x_limit, &mut steps, |from| self.walk_hit(caster, &walk, from, work));
+        let found = walk.beside(x_limit, &mut steps, |from| self.walk_hit(occluder, &walk, from, work));
         work.steps += steps;
         match found {
             Ok(x) => Cone { x, is_covered: false, beside: 1.0 },
-            Err(t) => self.blocked_cone(caster, &walk, t, cone, None, work),
+            Err(t) => self.blocked_cone(occluder, &walk, t, cone, None, work),
         }
     }
 
     /// Evaluates a wide cone of occlusion past one occluder in fewer steps: see [`ConeWalk::beside_wide`].
     fn wide_cone_past(
         &self,
-        caster: &Occluder<'_>,
+        occluder: &Occluder<'_>,
         cone: LightCone<'_>,
         wide: &WideCone<'_>,
         x_limit: f32,
         work: &mut LightWork,
     ) -> Cone {
-        let Some(walk) = caster.cone_walk(cone, 1.0) else { return Cone::FREE };
+        let Some(walk) = occluder.cone_walk(cone, 1.0) else { return Cone::FREE };
         let mut steps = 0;
-        let hit_from = |from| caster.hit_in_field(walk.ray, f64::from(from), work).map(|hit| hit.t);
+        let hit_from = |from| occluder.hit_in_field(walk.ray, f64::from(from), work).map(|hit| hit.t);
         let found = walk.beside_wide(wide, x_limit, &mut steps, hit_from);
         work.steps += steps;
         match found {
             Ok(x) => Cone { x: x.max(wide.least_x), is_covered: false, beside: 1.0 },
-            Err(t) => self.blocked_cone(caster, &walk, t, cone, Some(wide), work),
+            Err(t) => self.blocked_cone(occluder, &walk, t, cone, Some(wide), work),
         }
     }
 
     /// Evaluates a cone whose axis enters an occluder at `t_hit`; `wide` is set for a cone of occlusion.
     fn blocked_cone(
         &self,
-        caster: &Occluder<'_>,
+        occluder: &Occluder<'_>,
         walk: &ConeWalk<'_>,
         t_hit: f32,
         cone: LightCone<'_>,
@@ -462,7 +474,7 @@ impl<'a> Casters<'a> {
             if past.most <= most {
                 break;
             }
-            let [own, all] = self.clearance_past(caster, past, cone, most, wide, work);
+            let [own, all] = self.clearance_past(occluder, past, cone, most, wide, work);
             (most_own, most) = (most_own.max(own), most.max(all));
         }
         let mut beside = if most_own > 0.0 { most / most_own } else { 1.0 };
@@ -479,7 +491,7 @@ impl<'a> Casters<'a> {
     /// too: radii of the ray's narrow cone, from 0 to 1. The search ends if the second one is at most `least`.
     fn clearance_past(
         &self,
-        caster: &Occluder<'_>,
+        occluder: &Occluder<'_>,
         past: &RayPast,
         LightCone { place, ray, .. }: LightCone<'_>,
         least: f32,
@@ -492,12 +504,12 @@ impl<'a> Casters<'a> {
         let cone = LightCone { place, ray: &ray, slope: past.slope };
         let split = self.split(place, &ray, past.slope);
         // The occluder itself is the likeliest to be near.
-        let own = past.most.min(self.clearance_beside(caster, cone, past.most, work));
+        let own = past.most.min(self.clearance_beside(occluder, cone, past.most, work));
         let mut clearance = own;
         let mut pass = |item: u32, limit: f32| {
-            for other in self.casters(item, place, &ray, &split) {
-                // `caster` is all of its instance, unless a far field divides the ray.
-                let is_same = std::ptr::eq(other.instance, caster.instance);
+            for other in self.occluders(item, place, &ray, &split) {
+                // `occluder` is all of its instance, unless a far field divides the ray.
+                let is_same = std::ptr::eq(other.instance, occluder.instance);
                 let counts = if is_same { self.far.is_some() } else { other.instance.shade >= 1.0 };
                 if counts && clearance > least {
                     clearance = clearance.min(self.clearance_beside(&other, cone, clearance, work));
@@ -518,7 +530,7 @@ impl<'a> Casters<'a> {
             }
         }
         if split.far.is_some() && clearance > least {
-            for far in self.far_casters(&split, place, &ray) {
+            for far in self.far_occluders(&split, place, &ray) {
                 clearance = clearance.min(self.clearance_beside(&far, cone, clearance, work));
             }
         }
@@ -527,14 +539,20 @@ impl<'a> Casters<'a> {
 
     /// The clearance of the axis of a narrow cone beside one occluder in radii, from 0 to 1. A clearance above
     /// `x_limit` need not be exact.
-    fn clearance_beside(&self, caster: &Occluder<'_>, cone: LightCone<'_>, x_limit: f32, work: &mut LightWork) -> f32 {
+    fn clearance_beside(
+        &self,
+        occluder: &Occluder<'_>,
+        cone: LightCone<'_>,
+        x_limit: f32,
+        work: &mut LightWork,
+    ) -> f32 {
         work.steps += 1;
-        if caster.field.prefers_rays() {
-            return if self.hit_of(caster, cone.place, cone.ray, work).is_some() { 0.0 } else { 1.0 };
+        if occluder.field.prefers_rays() {
+            return if self.hit_of(occluder, cone.place, cone.ray, work).is_some() { 0.0 } else { 1.0 };
         }
-        let Some(walk) = caster.cone_walk(cone, x_limit) else { return 1.0 };
+        let Some(walk) = occluder.cone_walk(cone, x_limit) else { return 1.0 };
         let mut steps = 0;
-        let found = walk.beside(x_limit, &mut steps, |from| self.walk_hit(caster, &walk, from, work));
+        let found = walk.beside(x_limit, &mut steps, |from| self.walk_hit(occluder, &walk, from, work));
         work.steps += steps;
         found.unwrap_or(0.0)
     }

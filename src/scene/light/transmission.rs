@@ -26,7 +26,7 @@
 
 use super::light_rays::{LightRay, LightWork, SurfacePoint};
 use super::occluder::ray_in_field;
-use super::shadow::Casters;
+use super::shadow::TracedScene;
 use crate::geometry::clip;
 use crate::scene::fields::field::FieldRay;
 use glam::Vec3;
@@ -68,7 +68,7 @@ pub(crate) struct InsideRay {
     pub least_step: f32,
 }
 
-impl Casters<'_> {
+impl TracedScene<'_> {
     /// Length of a ray from a visible point inside the point's own instance, scene units; 0 without a field.
     pub(crate) fn length_inside(&self, place: &SurfacePoint, ray: &LightRay, work: &mut LightWork) -> f32 {
         if let Some(chord) = self.chord(place, ray) {

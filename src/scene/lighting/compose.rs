@@ -50,8 +50,8 @@ impl LitPass<'_> {
     /// Shades the layers with the light on them, and composes them over the background. Returns the picture, whose
     /// colours are multiplied by their opacity, and the number of rays and cones of the light in each pixel.
     pub(crate) fn compose(&self) -> Result<(Frame, Vec<u32>), Error> {
-        let &Pass { casters, buffer, lights, options, progress, .. } = self.pass;
-        let scene = casters.scene;
+        let &Pass { traced, buffer, lights, options, progress, .. } = self.pass;
+        let scene = traced.scene;
         let [width, height] = options.size.map(|n| n as usize);
         let mut frame = Frame::new(width, height, lights.lights.len())?;
         let mut rays = zeroed_rows("pixels", width * height)?;
@@ -96,8 +96,8 @@ impl LitPass<'_> {
     /// The colour of a pixel, linear RGB times opacity and opacity. Its layers begin at `next` of the row, and `shaded`
     /// receives each of them.
     fn color(&self, x: usize, y: usize, next: &mut usize, mut shaded: impl FnMut(ShadedLayer<'_>)) -> Vec4 {
-        let &Pass { casters, buffer, lights, options, .. } = self.pass;
-        let scene = casters.scene;
+        let &Pass { traced, buffer, lights, options, .. } = self.pass;
+        let scene = traced.scene;
         let mut color = Vec4::ZERO;
         let mut passes = 1.0;
         while let Some(layer) = buffer.rows[y].get(*next).filter(|layer| layer.x as usize == x) {

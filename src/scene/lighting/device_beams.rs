@@ -31,7 +31,7 @@ pub(crate) fn evaluate_by_beams(
     for y in 0..evaluated.rows.len() {
         for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
             if !evaluated.rows[y].is_evaluated[i] && is_requested(layer.x, y as u32) {
-                bunch.push((y, i, LitSurface::new(pass.casters.scene, pass.buffer, y, layer)));
+                bunch.push((y, i, LitSurface::new(pass.traced.scene, pass.buffer, y, layer)));
             }
         }
         pass.progress.advance(row_progress)?;
@@ -66,7 +66,7 @@ fn light_bunch(
     let beams = behind.iter().map(|behind| beam(&behind.place, &behind.ray, behind.slope)).collect();
     let past_faces = past_faces(pass, &behind, |Behind { place, ray, slope, .. }| {
         let mut work = LightWork::default();
-        let shares = pass.casters.light_past_faces(place, ray, *slope, &mut work);
+        let shares = pass.traced.light_past_faces(place, ray, *slope, &mut work);
         (shares, work)
     })?;
     let mut shares = Batch::run(pass, device, beams, past_faces)?;
@@ -101,10 +101,10 @@ struct Batch {
 impl Batch {
     fn run(pass: &Pass<'_>, device: &DeviceScene, beams: Vec<Beam>, past_faces: Vec<f32>) -> Result<Self, Error> {
         let has_wide = pass.options.occlusion.is_some();
-        let first = device.shares(pass.casters, has_wide, &beams, pass.progress)?;
+        let first = device.shares(pass.traced, has_wide, &beams, pass.progress)?;
         let undecided = beams.iter().zip(&first).filter(|(beam, beam_result)| is_undecided(beam, beam_result));
         let parts: Vec<Beam> = undecided.flat_map(|(beam, _)| parts_of_disc(beam)).collect();
-        let second = device.shares(pass.casters, has_wide, &parts, pass.progress)?;
+        let second = device.shares(pass.traced, has_wide, &parts, pass.progress)?;
         Ok(Self { beams: beams.into_iter().zip(first), parts: second.into_iter(), past_faces: past_faces.into_iter() })
     }
 
@@ -149,7 +149,7 @@ impl DeviceResults {
         }
         let lengths = device.thicknesses(&inside, pass.progress)?;
         let past_faces =
-            past_faces(pass, bunch, |(_, _, surface)| pass.casters.faces_at(surface, pass.lights, pass.options))?;
+            past_faces(pass, bunch, |(_, _, surface)| pass.traced.faces_at(surface, pass.lights, pass.options))?;
         Ok(Self { direct: Batch::run(pass, device, beams, past_faces)?, lengths: lengths.into_iter() })
     }
 
@@ -163,7 +163,7 @@ impl DeviceResults {
         behind: &mut Vec<Behind>,
     ) -> Option<LightWork> {
         let mut work = LightWork::default();
-        let scene = pass.casters.scene;
+        let scene = pass.traced.scene;
         *found.open = 1.0;
         if let Some(distance) = pass.options.occlusion {
             let (mut sum, mut weights) = (0.0, 0.0);
@@ -195,7 +195,7 @@ impl DeviceResults {
                 let paths = surface.paths(&ray, slope, pass.options.shadows);
                 let share = 1.0 / paths.len() as f32;
                 for (path, slope) in paths {
-                    let length = match pass.casters.chord(&surface.place, &path) {
+                    let length = match pass.traced.chord(&surface.place, &path) {
                         Some(chord) => chord,
                         None => self.lengths.next()?.value,
                     };
@@ -237,7 +237,7 @@ fn past_faces<T: Sync>(
     items: &[T],
     shares: impl Fn(&T) -> (Vec<f32>, LightWork) + Sync,
 ) -> Result<Vec<f32>, Error> {
-    if !pass.casters.needs_faces(pass.lights, pass.options) {
+    if !pass.traced.needs_faces(pass.lights, pass.options) {
         return Ok(Vec::new());
     }
     let found = items
@@ -256,7 +256,7 @@ fn past_faces<T: Sync>(
 /// light. The rays whose length inside the own instance is needed are appended to `inside`.
 fn first_beams(pass: &Pass<'_>, surface: &LitSurface<'_>, beams: &mut Vec<Beam>, inside: &mut Vec<Beam>) {
     if let Some(distance) = pass.options.occlusion {
-        let cones = surface.place.open_rays(distance / pass.casters.scene.scale);
+        let cones = surface.place.open_rays(distance / pass.traced.scene.scale);
         beams.extend(cones.map(|(ray, _)| Beam { is_coarse: WIDE, ..beam(&surface.place, &ray, AO_SLOPE) }));
     }
     for light in &pass.lights.lights {
@@ -268,9 +268,9 @@ fn first_beams(pass: &Pass<'_>, surface: &LitSurface<'_>, beams: &mut Vec<Beam>,
                 paths.iter().map(|(path, slope)| beam(&surface.place, path, if is_soft { *slope } else { 0.0 })),
             );
         }
-        if surface.scatters(pass.casters.scene) {
+        if surface.scatters(pass.traced.scene) {
             let paths = surface.paths(&ray, slope, pass.options.shadows);
-            let marched = paths.iter().filter(|(path, _)| pass.casters.chord(&surface.place, path).is_none());
+            let marched = paths.iter().filter(|(path, _)| pass.traced.chord(&surface.place, path).is_none());
             inside.extend(marched.map(|(path, _)| beam(&surface.place, path, 0.0)));
         }
     }

@@ -35,15 +35,15 @@ use std::sync::{Mutex, PoisonError};
 const MOST_DISTANCE: f64 = 16.0;
 /// Value of [`BeamResult::is_proven`] for a disc whose fraction is the mean of its parts, as in the shader.
 const DIVIDED: u32 = 2;
-/// Largest number of answers in memory at a time: 40 MiB.
-const MOST_ANSWERS: u64 = 1 << 21;
+/// Largest number of results of beams in memory at a time: 40 MiB.
+const MOST_RESULTS: u64 = 1 << 21;
 /// Number of tiles of the first submission if the time for one is unknown: 256 beams of one light.
 const FIRST_TILES: u64 = 4;
 
 /// Lights the faces that the device found. Returns false if the method does not apply to the picture.
 pub(crate) fn light_faces(pass: &Pass<'_>, device: &DeviceScene, evaluated: &mut LightBuffer) -> Result<bool, Error> {
     let (Some(visible), Some(corners)) = (&pass.buffer.visible, device.faces()) else { return Ok(false) };
-    let scene = pass.casters.scene;
+    let scene = pass.traced.scene;
     let eye = scene.scene_from_world(pass.buffer.view.camera.eye);
     let lights = match pass.options.shadows {
         SceneShadows::None => 0,
@@ -80,11 +80,11 @@ pub(crate) fn light_faces(pass: &Pass<'_>, device: &DeviceScene, evaluated: &mut
     (view.height, view.tile_columns) = (pass.options.size[1], tiles.columns);
     (view.tile_count, view.tile_step) = (tiles.count, tiles.step);
     let tile_results = u64::from(GROUP) * lights as u64;
-    let chunk = (MOST_ANSWERS / tile_results).min(tiles.places());
+    let chunk = (MOST_RESULTS / tile_results).min(tiles.places());
     let buffers = device.light.on(context, &device.groups, chunk * tile_results)?;
     context.write("view of surfaces", &buffers.view, 0, &[view])?;
-    buffers.set_beam_params(context, DeviceScene::beam_params(pass.casters))?;
-    let cases = BeamCases { has_far: pass.casters.far.is_some(), has_wide: false };
+    buffers.set_beam_params(context, DeviceScene::beam_params(pass.traced))?;
+    let cases = BeamCases { has_far: pass.traced.far.is_some(), has_wide: false };
     let work = FaceLight::new(device, visible, corners, &buffers, [has_cones, has_rays], cases)?;
     let cost = (faces * lights) as f64 / tiles.places() as f64;
     for start in (0..tiles.places()).step_by(chunk as usize) {
@@ -142,7 +142,7 @@ fn take(
     range: Range<u32>,
     beam_results: &[BeamResult],
 ) -> Result<(), Error> {
-    let scene = pass.casters.scene;
+    let scene = pass.traced.scene;
     let lights = pass.lights.lights.len();
     evaluated.rows.par_iter_mut().enumerate().try_for_each(|(y, row)| {
         let mut total = LightWork::default();
@@ -177,9 +177,9 @@ fn take_pixel(
     beam_results: &mut std::slice::Iter<'_, BeamResult>,
     values: &mut [f32],
 ) -> Option<LightWork> {
-    let needs_faces = pass.casters.needs_faces(pass.lights, pass.options);
+    let needs_faces = pass.traced.needs_faces(pass.lights, pass.options);
     let (past_faces, mut work) = if needs_faces {
-        pass.casters.faces_at(surface, pass.lights, pass.options)
+        pass.traced.faces_at(surface, pass.lights, pass.options)
     } else {
         (Vec::new(), LightWork::default())
     };

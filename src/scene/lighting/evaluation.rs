@@ -200,7 +200,7 @@ fn evaluate_row(
     let (mut total, mut occluders) = (LightWork::default(), Occluders::default());
     for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
         if !row.is_evaluated[i] && is_requested(layer.x, y as u32) {
-            let surface = LitSurface::new(pass.casters.scene, pass.buffer, y, layer);
+            let surface = LitSurface::new(pass.traced.scene, pass.buffer, y, layer);
             let values = &mut row.values[i * stride..][..stride];
             let work = match pass.bounces {
                 Some(bounces) => {
@@ -213,7 +213,7 @@ fn evaluate_row(
                 }
                 None => {
                     let (mut found, near) = (parts_of(values, lights), tiles.occluders(layer));
-                    surface.evaluate(pass.casters, near, pass.lights, pass.options, &mut occluders, &mut found)
+                    surface.evaluate(pass.traced, near, pass.lights, pass.options, &mut occluders, &mut found)
                 }
             };
             row.work[i] = work;

@@ -56,7 +56,7 @@ impl<'a> Tiles<'a> {
     /// Whether the light of a pass is evaluated by rays and cones to lights, which may share occluders.
     pub(crate) fn are_useful(pass: &Pass<'_>) -> bool {
         let has_rays = matches!(pass.options.shadows, SceneShadows::Hard | SceneShadows::Soft | SceneShadows::Area(_));
-        pass.bounces.is_none() && pass.casters.far.is_none() && has_rays && !pass.lights.lights.is_empty()
+        pass.bounces.is_none() && pass.traced.far.is_none() && has_rays && !pass.lights.lights.is_empty()
     }
 
     /// Adds a surface whose light must be evaluated.
@@ -91,7 +91,7 @@ fn key(layer: &Layer) -> (u32, u32) {
 /// A ball around the surfaces of a tile, scene units. They lie in the hull of eight points: the directions of the
 /// pixels are linear in the columns and rows.
 fn ball_of(pass: &Pass<'_>, rows: [u32; 2], column: u32, depth: [f64; 2]) -> (DVec3, f64) {
-    let (scene, view) = (pass.casters.scene, &pass.buffer.view);
+    let (scene, view) = (pass.traced.scene, &pass.buffer.view);
     let first = column * TILE as u32;
     let columns = [first, (first + TILE as u32 - 1).min(view.size[0] - 1)];
     let corners: [DVec3; 8] =
@@ -103,14 +103,14 @@ fn ball_of(pass: &Pass<'_>, rows: [u32; 2], column: u32, depth: [f64; 2]) -> (DV
 
 /// The instances that may block a light from the surfaces of instance `own` in a ball, near ones first.
 fn occluders_of(pass: &Pass<'_>, center: DVec3, radius: f64, own: u32, light: &SceneLight) -> NearList {
-    let scene = pass.casters.scene;
+    let scene = pass.traced.scene;
     let (ray, slope, _) = light.seen_from(center);
     let slope = if pass.options.shadows == SceneShadows::Hard { 0.0 } else { slope };
     let line = Line::cone(center.as_vec3(), ray.direction.as_vec3(), slope).with_start_radius(radius as f32);
     let mut found = Vec::new();
     scene.tree.walk(&line, ray.t_max as f32, |item, limit| {
-        let is_met = line.touches(&scene.boxes[item as usize], limit);
-        if is_met && (item == own || !is_free(scene, item, center, &ray, radius as f32, slope)) {
+        let touches = line.touches(&scene.boxes[item as usize], limit);
+        if touches && (item == own || !is_free(scene, item, center, &ray, radius as f32, slope)) {
             found.push(item);
         }
         limit

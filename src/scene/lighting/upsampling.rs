@@ -93,7 +93,7 @@ pub(crate) fn gather(
             }
             around.fitting(SAME_NORMAL, &mut neighbours);
             row.is_evaluated[i] = mean(&neighbours, agree, values);
-            let surface = LitSurface::new(pass.casters.scene, pass.buffer, y, layer);
+            let surface = LitSurface::new(pass.traced.scene, pass.buffer, y, layer);
             for (light, share) in pass.lights.lights.iter().zip(&mut values[1..]) {
                 if let Some(plain) = surface.plain_share(&light.seen_from(surface.place.p).0, pass.options) {
                     *share = plain;

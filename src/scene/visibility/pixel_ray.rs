@@ -35,7 +35,7 @@ pub(crate) fn draw_row<'a>(
 ) -> (Vec<Layer>, Vec<u32>) {
     let (mut layers, mut steps) = (Vec::new(), Vec::new());
     for x in 0..view.size[0] {
-        let mut ray = PixelRay { scene, options, view, x, y, left_over: None, skips_opaque: false, steps: 0 };
+        let mut ray = PixelRay { scene, options, view, x, y, searched: None, skips_opaque: false, steps: 0 };
         trace(&mut ray, &mut layers);
         steps.push(ray.steps);
     }
@@ -50,7 +50,7 @@ pub(crate) struct PixelRay<'a> {
     pub x: u32,
     y: u32,
     /// For each instance, whether the search tests it; None if it tests all.
-    pub left_over: Option<&'a [bool]>,
+    pub searched: Option<&'a [bool]>,
     /// Whether the opaque faces of all instances are drawn already.
     pub skips_opaque: bool,
     pub steps: u32,
@@ -92,7 +92,7 @@ impl PixelRay<'_> {
         let mut steps = self.steps;
         scene.tree.walk(&line, reach(limit), |item, limit| {
             let instance = &scene.instances[item as usize];
-            if !instance.visible || self.left_over.is_some_and(|left_over| !left_over[item as usize]) {
+            if !instance.visible || self.searched.is_some_and(|searched| !searched[item as usize]) {
                 return limit;
             }
             steps += 1;
@@ -133,8 +133,8 @@ impl PixelRay<'_> {
     }
 
     /// Whether the hit of a field that a device found must be computed again by the ray of the pixel.
-    pub(crate) fn is_met_again(&self, item: u32) -> bool {
-        self.scene.instances[item as usize].field.as_ref().is_some_and(|field| field.is_met_again())
+    pub(crate) fn is_traced_again(&self, item: u32) -> bool {
+        self.scene.instances[item as usize].field.as_ref().is_some_and(|field| field.is_traced_again())
     }
 
     fn triangle(

@@ -95,15 +95,15 @@ struct RasterMesh<'a> {
 pub(crate) struct Rasterizer<'a> {
     screen: Screen,
     meshes: Vec<RasterMesh<'a>>,
-    /// For each instance, whether it is left to the search, and the rectangles of those that are. None if no instance
-    /// is.
-    left_over: Option<(Vec<bool>, Vec<PixelRectangle>)>,
+    /// For each instance, whether rays search it, and the rectangles of all that rays search. None if there are
+    /// none.
+    searched_instances: Option<(Vec<bool>, Vec<PixelRectangle>)>,
 }
 
 impl<'a> Rasterizer<'a> {
     pub(crate) fn new(scene: &'a Scene, options: &RenderOptions, view: &View) -> Self {
         let screen = Screen::new(scene, view);
-        let mut left = vec![false; scene.instances.len()];
+        let mut by_search = vec![false; scene.instances.len()];
         let (mut rectangles, mut drawn) = (Vec::new(), Vec::new());
         for (i, instance) in scene.instances.iter().enumerate().filter(|(_, instance)| instance.visible) {
             let bounds = &scene.boxes[i];
@@ -114,12 +114,12 @@ impl<'a> Rasterizer<'a> {
             if !screen.is_parallel && is_rasterised(scene, instance, options, FACES_PER_PIXEL * pixels) {
                 drawn.push(i as u32);
             } else {
-                left[i] = true;
+                by_search[i] = true;
                 rectangles.push(rectangle);
             }
         }
         let meshes = drawn.into_par_iter().map(|item| screen.mesh(scene, item)).collect();
-        Self { screen, meshes, left_over: (!rectangles.is_empty()).then_some((left, rectangles)) }
+        Self { screen, meshes, searched_instances: (!rectangles.is_empty()).then_some((by_search, rectangles)) }
     }
 
     /// The nearest faces of the pixels of some rows.
@@ -138,10 +138,10 @@ impl<'a> Rasterizer<'a> {
         visible
     }
 
-    /// For each pixel of a row, whether the box of an instance that is left to the search covers it.
+    /// For each pixel of a row, whether the box of an instance that rays search covers it.
     pub(crate) fn searched(&self, y: u32) -> Vec<bool> {
         let mut columns = vec![false; self.screen.size[0] as usize];
-        for [across, rows] in self.left_over.iter().flat_map(|(_, rectangles)| rectangles) {
+        for [across, rows] in self.searched_instances.iter().flat_map(|(_, rectangles)| rectangles) {
             if rows.contains(&y) {
                 columns[across.start as usize..across.end as usize].fill(true);
             }
@@ -168,12 +168,12 @@ impl<'a> Rasterizer<'a> {
             }
             ray.steps += 1;
         }
-        let Some((left, _)) = self.left_over.as_ref().filter(|_| is_searched) else {
+        let Some((by_search, _)) = self.searched_instances.as_ref().filter(|_| is_searched) else {
             layers.extend(behind);
             return;
         };
         let first = layers.len();
-        ray.left_over = Some(left);
+        ray.searched = Some(by_search);
         ray.trace(layers, behind);
         // At equal depths the order of the search decides.
         let is_tie = |layer: &Layer| {
@@ -181,7 +181,7 @@ impl<'a> Rasterizer<'a> {
         };
         if layers[first..].iter().any(is_tie) {
             layers.truncate(first);
-            ray.left_over = None;
+            ray.searched = None;
             ray.trace(layers, None);
         }
     }

@@ -136,8 +136,8 @@ def _choose(data: Any) -> Any:
         for array in data.findall("DataArray")
         if array.get("type") in _TYPES and array.get("NumberOfComponents", "1") == "1"
     ]
-    wanted = (NAME, data.get("Scalars"))
-    return next((array for name in wanted for array in arrays if array.get("Name") == name), next(iter(arrays), None))
+    names = (NAME, data.get("Scalars"))
+    return next((array for name in names for array in arrays if array.get("Name") == name), next(iter(arrays), None))
 
 
 def _vector(element: Any, name: str, length: int) -> NDArray[np.float64]:

@@ -119,13 +119,13 @@ class Reader:
         advice = "delete it and call bake_to_zarr with the same mesh and options"
         return FormatError(f"shard {key} of {self.place} is damaged: {reason}; {advice}")
 
-    def bricks(self, level: int, wanted: NDArray[np.int64]) -> NDArray[Any]:
+    def bricks(self, level: int, requested: NDArray[np.int64]) -> NDArray[Any]:
         """Read the stored values of chunks (k, 3), (k, c, c, c) in z, y, x order; beyond the grid the fill value."""
         chunk = self.layout.chunk
-        out = np.empty((len(wanted), chunk, chunk, chunk), dtype=self.fill.dtype)
+        out = np.empty((len(requested), chunk, chunk, chunk), dtype=self.fill.dtype)
         missing = []
         with self._lock:
-            for row, (x, y, z) in enumerate(wanted.tolist()):
+            for row, (x, y, z) in enumerate(requested.tolist()):
                 brick = self._bricks.get((level, (x, y, z)))
                 if brick is None:
                     missing.append(row)
@@ -136,17 +136,17 @@ class Reader:
             return out
         per_shard = self.layout.shard // chunk
         rows = np.array(missing)
-        shards = wanted[rows] // per_shard
+        shards = requested[rows] // per_shard
         for shard in np.unique(shards, axis=0):
             of_shard = rows[(shards == shard).all(axis=1)]
-            self._load(level, wanted, of_shard, out)
+            self._load(level, requested, of_shard, out)
         return out
 
-    def _load(self, level: int, wanted: NDArray[np.int64], rows: NDArray[np.int64], out: NDArray[Any]) -> None:
+    def _load(self, level: int, requested: NDArray[np.int64], rows: NDArray[np.int64], out: NDArray[Any]) -> None:
         """Read the bricks of one shard in one piece, and keep them."""
         chunk = self.layout.chunk
-        low = wanted[rows].min(axis=0) * chunk
-        high = np.minimum((wanted[rows].max(axis=0) + 1) * chunk, self.layout.level(level).shape)
+        low = requested[rows].min(axis=0) * chunk
+        high = np.minimum((requested[rows].max(axis=0) + 1) * chunk, self.layout.level(level).shape)
         x, y, z = low.tolist()
         nx, ny, nz = (high - low).tolist()
         piece = self.read(level, (x, y, z), (nx, ny, nz))
@@ -156,9 +156,9 @@ class Reader:
                 piece, [(0, b - a) for a, b in zip(piece.shape, full, strict=True)], constant_values=self.fill
             )
         for row in rows.tolist():
-            x, y, z = (wanted[row] * chunk - low).tolist()
+            x, y, z = (requested[row] * chunk - low).tolist()
             out[row] = piece[z : z + chunk, y : y + chunk, x : x + chunk]
-            self._keep((level, tuple(wanted[row].tolist())), out[row].copy())
+            self._keep((level, tuple(requested[row].tolist())), out[row].copy())
 
     def _keep(self, key: Any, brick: NDArray[Any]) -> None:
         with self._lock:
@@ -173,7 +173,7 @@ class Reader:
         brick, inner = index // chunk, index % chunk
         flat = (brick[:, 2] * counts[1] + brick[:, 1]) * counts[0] + brick[:, 0]
         unique, place = np.unique(flat, return_inverse=True)
-        wanted = np.stack(
+        requested = np.stack(
             [unique % counts[0], unique // counts[0] % counts[1], unique // (counts[0] * counts[1])], axis=1
         )
         out = np.empty(len(index), dtype=self.fill.dtype)
@@ -184,7 +184,7 @@ class Reader:
             rows = order[start:stop]
             if len(rows):
                 first = number * most
-                bricks = self.bricks(level, wanted[first : first + most])
+                bricks = self.bricks(level, requested[first : first + most])
                 x, y, z = inner[rows].T
                 out[rows] = bricks[place[rows] - first, z, y, x]
         return out

@@ -167,10 +167,10 @@ def reading(place: object, part: str = METADATA) -> Iterator[None]:
 def checked_array(group: Any, path: str, shape: tuple[int, ...], dtype: Any, shard: int, chunk: int, fill: Any) -> Any:
     """Open an array of the plan whose metadata are those that :func:`create` wrote, or raise FormatError."""
     array = group[path]
-    wanted = {"shape": shape, "dtype": np.dtype(dtype)}
-    wanted |= {"fill_value": fill} if fill is not None else {}
-    wanted |= {"shards": (shard,) * 3, "chunks": (chunk,) * 3} if shard else {}
-    for name, value in wanted.items():
+    expected = {"shape": shape, "dtype": np.dtype(dtype)}
+    expected |= {"fill_value": fill} if fill is not None else {}
+    expected |= {"shards": (shard,) * 3, "chunks": (chunk,) * 3} if shard else {}
+    for name, value in expected.items():
         found = getattr(array, name)
         if not np.array_equal(found, value, equal_nan=name == "fill_value"):
             raise FormatError(f"{group.store_path}: {path} has the {name} {found}, not {value}; {REPAIR}")
@@ -292,10 +292,10 @@ def complete(
         found = read_array(group, path)
     except FormatError:
         found = np.full(shape, fill, dtype)
-    wanted = values(found)
-    if not np.array_equal(found, wanted, equal_nan=True):
-        group[path][...] = wanted
-    return wanted
+    computed = values(found)
+    if not np.array_equal(found, computed, equal_nan=True):
+        group[path][...] = computed
+    return computed
 
 
 def stored_keys(group: Any, level: int, *, clean: bool = False) -> set[str]:

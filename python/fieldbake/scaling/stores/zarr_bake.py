@@ -216,12 +216,12 @@ def _prepared_group(place: store.Place, layout: Layout, mesh: Mesh, resume: bool
     return store.create(place, group, layout, mesh, Report.of_mesh(mesh, facts).to_dict())
 
 
-def _check_same(place: store.Place, found: Layout, wanted: Layout) -> None:
-    if found == wanted:
+def _check_same(place: store.Place, found: Layout, requested: Layout) -> None:
+    if found == requested:
         return
     differences = [
         "another mesh" if name == "mesh" else f"{name} {old}, not {new}"
-        for (name, old), new in zip(found.to_dict().items(), wanted.to_dict().values(), strict=True)
+        for (name, old), new in zip(found.to_dict().items(), requested.to_dict().values(), strict=True)
         if old != new and name != "inner"
     ]
     raise ArgumentError(
@@ -258,9 +258,9 @@ def _planned_tasks(group: Any, layout: Layout, mesh: Mesh) -> list[Task]:
     for level in range(layout.level_count):
         stored, near = shard_plan.stored_shards(mesh, layout, level)
         # Some shards of the plan turned out to be wholly outside; their state is 0.
-        wanted = stored.transpose(2, 1, 0)
+        planned = stored.transpose(2, 1, 0)
         path = f"far/states/{level}"
-        states = store.complete(group, path, wanted.shape, np.uint8, 1, partial(np.multiply, wanted))
+        states = store.complete(group, path, planned.shape, np.uint8, 1, partial(np.multiply, planned))
         stored &= states.transpose(2, 1, 0) != 0
         keys = store.stored_keys(group, level, clean=True)
         for part in (stored & near, stored & ~near):
