@@ -8,6 +8,7 @@
 use super::leaf::{LeafField, PlacedLeaf};
 use super::scalar::{Scalar, length2};
 use crate::csg::model::lowered::{Coat, DistanceOp, MaskDistance, Model};
+use crate::csg::model::operand_stack::OperandStack;
 use crate::csg::model::token::Token;
 use crate::csg::tree::kind::{Blend, Op};
 use crate::csg::tree::placement::WarpKind;
@@ -105,13 +106,14 @@ fn power_of_two(size: f64) -> f64 {
 /// Buffers of [`Program::run`], kept between calls.
 #[derive(Debug, Clone)]
 pub struct Stack<F, const N: usize> {
-    values: Vec<[F; N]>,
-    positions: Vec<[[F; N]; 3]>,
+    values: OperandStack<[F; N]>,
+    /// The points in the space of each open warp, the world first.
+    positions: OperandStack<[[F; N]; 3]>,
 }
 
 impl<F: Scalar, const N: usize> Default for Stack<F, N> {
     fn default() -> Self {
-        Self { values: Vec::with_capacity(16), positions: Vec::new() }
+        Self { values: OperandStack::with_capacity(16), positions: OperandStack::default() }
     }
 }
 
@@ -127,7 +129,7 @@ impl<F: Scalar, const N: usize> Stack<F, N> {
     /// The last two values, in the order of their evaluation.
     #[inline(always)]
     pub(crate) fn top_two(&self) -> Option<[&[F; N]; 2]> {
-        self.values.last_chunk().map(|[first, second]| [first, second])
+        self.values.top_two()
     }
 }
 
@@ -211,7 +213,7 @@ impl<F: Scalar> Program<F> {
         for &token in tokens {
             self.step(token, stack);
         }
-        stack.values.pop().unwrap_or([F::of(f64::from(f32::MAX)); N])
+        stack.values.finish().unwrap_or([F::of(f64::from(f32::MAX)); N])
     }
 
     /// Evaluates one token.
@@ -219,37 +221,32 @@ impl<F: Scalar> Program<F> {
     pub(crate) fn step<const N: usize>(&self, token: Token, stack: &mut Stack<F, N>) {
         match token {
             Token::Leaf(leaf) => {
-                let at = stack.positions.last().expect("there is always a position");
-                let distance = self.leaves[leaf as usize].distances(at);
+                let distance = self.leaves[leaf as usize].distances(stack.positions.top());
                 stack.values.push(distance);
             }
             Token::Combine(i) => {
                 let combine = &self.combines[i as usize];
-                let top = stack.values.pop().expect("two operands");
-                let below = stack.values.last_mut().expect("two operands");
+                let top = stack.values.pop();
+                let below = stack.values.top_mut();
                 let (a, b) = if combine.is_swapped { (top, *below) } else { (*below, top) };
                 *below = combine.apply(&a, &b);
             }
             Token::DistanceOp(i) => {
-                let values = stack.values.last_mut().expect("one operand");
+                let values = stack.values.top_mut();
                 match self.levels[i as usize] {
                     PlacedDistanceOp::Offset(distance) => values.iter_mut().for_each(|d| *d = *d - distance),
                     PlacedDistanceOp::Shell(half) => values.iter_mut().for_each(|d| *d = d.abs() - half),
                     PlacedDistanceOp::Times(factor) => values.iter_mut().for_each(|d| *d = *d * factor),
                 }
             }
-            Token::Complement => {
-                stack.values.last_mut().expect("one operand").iter_mut().for_each(|d| *d = -*d);
-            }
+            Token::Complement => stack.values.top_mut().iter_mut().for_each(|d| *d = -*d),
             Token::Enter(i) => {
-                let warped = self.warps[i as usize].positions(stack.positions.last().expect("there is a position"));
+                let warped = self.warps[i as usize].positions(stack.positions.top());
                 stack.positions.push(warped);
             }
             Token::Leave(i) => {
                 stack.positions.pop();
-                let warp = &self.warps[i as usize];
-                let at = stack.positions.last().expect("there is a position");
-                warp.unstretch(at, stack.values.last_mut().expect("one operand"));
+                self.warps[i as usize].unstretch(stack.positions.top(), stack.values.top_mut());
             }
         }
     }
@@ -260,19 +257,17 @@ impl<F: Scalar> Program<F> {
         stack.positions.push(at.map(|x| [x]));
         let mut colors: Vec<Option<[f32; 3]>> = Vec::new();
         for &token in tokens {
-            let below = stack.values.len().checked_sub(2).map(|i| stack.values[i][0]);
-            let top = stack.values.last().map(|d| d[0]);
-            match token {
-                Token::Leaf(i) => {
+            let operands = stack.top_two().map(|values| values.map(|d| d[0]));
+            match (token, operands) {
+                (Token::Leaf(i), _) => {
                     let leaf = &model.leaves[i as usize];
-                    let [x, y, z] = stack.positions.last().expect("there is a position").map(|x| x[0].widen());
+                    let [x, y, z] = stack.positions.top().map(|x| x[0].widen());
                     let local = DVec3::new(x, y, z);
                     let p = if leaf.is_warped { self.frame.scale * local } else { self.frame.world(local) };
                     colors.push(Coat::color(leaf.paint.as_deref(), p, mask_distance));
                 }
-                Token::Combine(i) => {
+                (Token::Combine(i), Some([below, top])) => {
                     let combine = &self.combines[i as usize];
-                    let (below, top) = (below.expect("two operands"), top.expect("two operands"));
                     let (top_color, below_color) = (colors.pop().flatten(), colors.pop().flatten());
                     let ((a, a_color), (b, b_color)) = if combine.is_swapped {
                         ((top, top_color), (below, below_color))

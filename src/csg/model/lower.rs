@@ -6,6 +6,7 @@
 
 use super::bounds::Extent;
 use super::lowered::{Coat, Combine, DistanceOp, Leaf, Mask, Model};
+use super::operand_stack::OperandStack;
 use super::token::Token;
 use crate::csg::tree::kind::{Blend, Kind, Op};
 use crate::csg::tree::placement::{Lattice, Placement, Stretch, Warp, WarpKind, reflection};
@@ -86,7 +87,7 @@ struct Builder {
     levels: Vec<DistanceOp>,
     warps: Vec<Warp>,
     /// Items that wait for their operator.
-    done: Vec<usize>,
+    done: OperandStack<usize>,
 }
 
 /// Key for sharing equal leaves: primitives of a kind differ only in their parameters and placement.
@@ -116,7 +117,7 @@ impl Builder {
                 Task::Warp(kind, place) => self.warp(kind, place)?,
             }
         }
-        let root = self.done.pop().expect("a shape has a root");
+        let root = self.done.pop();
         Ok(self.emit(root))
     }
 
@@ -328,24 +329,24 @@ impl Builder {
     }
 
     fn wrap(&mut self, item: impl FnOnce(usize, &Self) -> LoweredNode) {
-        let child = self.done.pop().expect("the child is done");
+        let child = self.done.pop();
         let item = item(child, self);
         self.push(item, self.needs[child]);
     }
 
     fn combine(&mut self, op: Op, blend: Blend, count: usize) {
-        let operands = self.done.split_off(self.done.len() - count);
+        let operands = self.done.pop_many(count);
         let mut first = operands[0];
         for &second in &operands[1..] {
             let (a, b) = (self.needs[first], self.needs[second]);
             self.push(LoweredNode::Combine { op, blend, first, second }, if a == b { a + 1 } else { a.max(b) });
-            first = self.done.pop().expect("just pushed");
+            first = self.done.pop();
         }
         self.done.push(first);
     }
 
     fn warp(&mut self, kind: WarpKind, place: Placement) -> Result<(), ShapeError> {
-        let child = self.done.pop().expect("the child is done");
+        let child = self.done.pop();
         let extent = self.extent_of(child);
         let mut stretch = Stretch { rate: 0.0, radius: 0.0 };
         if let WarpKind::Twist(rate) | WarpKind::Bend(rate) = kind {

@@ -4,4 +4,5 @@ pub(crate) mod align;
 pub(crate) mod bounds;
 pub(crate) mod lower;
 pub(crate) mod lowered;
+pub(crate) mod operand_stack;
 pub(crate) mod token;

@@ -49,6 +49,7 @@
 use super::part::{Part, grouped};
 use crate::csg::model::bounds::Extent;
 use crate::csg::model::lowered::Model;
+use crate::csg::model::operand_stack::OperandStack;
 use crate::csg::model::token::Token;
 use crate::csg::tree::kind::{Blend, Op};
 use glam::DVec3;
@@ -96,8 +97,9 @@ impl Operand {
 /// The parts of a bounded model.
 pub(crate) fn parts(model: &Model) -> Vec<Part> {
     let size = (model.extent.upper - model.extent.lower).max_element();
-    let mut stack: Vec<Operand> = Vec::new();
-    let mut enters: Vec<Vec<Operand>> = Vec::new();
+    let mut stack: OperandStack<Operand> = OperandStack::default();
+    // The stacks outside the open warps.
+    let mut outer: OperandStack<OperandStack<Operand>> = OperandStack::default();
     for &token in &model.tokens {
         match token {
             Token::Leaf(leaf) => {
@@ -106,17 +108,16 @@ pub(crate) fn parts(model: &Model) -> Vec<Part> {
             }
             Token::Combine(i) => {
                 let combine = model.combines[i as usize];
-                let top = stack.pop().expect("two operands");
-                let below = stack.pop().expect("two operands");
+                let (top, below) = (stack.pop(), stack.pop());
                 let join = Join { model, size, token, is_swapped: combine.is_swapped };
                 let (a, b) = if combine.is_swapped { (top, below) } else { (below, top) };
                 stack.push(combined(combine.op, combine.blend, a, b, &join));
             }
-            Token::Enter(_) => enters.push(std::mem::take(&mut stack)),
+            Token::Enter(_) => outer.push(std::mem::take(&mut stack)),
             Token::DistanceOp(_) | Token::Complement | Token::Leave(_) => {
-                let operand = stack.pop().expect("one operand");
+                let operand = stack.pop();
                 if let Token::Leave(_) = token {
-                    stack = enters.pop().expect("entered before");
+                    stack = outer.pop();
                 }
                 let tokens = changed(&operand.tokens, token);
                 let extent = model.extent_of(&tokens);
@@ -124,7 +125,7 @@ pub(crate) fn parts(model: &Model) -> Vec<Part> {
             }
         }
     }
-    let root = stack.pop().map(|operand| operand.pieces).unwrap_or_default();
+    let root = stack.finish().map(|operand| operand.pieces).unwrap_or_default();
     grouped(root.into_iter().filter(|piece| is_finite(&piece.bounds)).map(|piece| (piece.tokens, piece.bounds)))
 }
 

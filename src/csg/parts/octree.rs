@@ -17,6 +17,7 @@ use super::part::{Part, grouped};
 use super::solid::Solid;
 use crate::csg::evaluation::program::{Joint, PlacedDistanceOp, PlacedWarp, PlacedWarpKind, Program};
 use crate::csg::model::lowered::Model;
+use crate::csg::model::operand_stack::OperandStack;
 use crate::csg::model::token::Token;
 use crate::csg::tree::kind::Op;
 use crate::simd::with_vectors;
@@ -168,24 +169,24 @@ impl Octree<'_> {
         // Centre and radius in the space of each open warp.
         balls.clear();
         balls.push((middle, radius));
-        let mut values = values.iter();
+        let mut leaf_count = 0;
         for &token in tokens {
-            let (at, radius) = *balls.last().expect("there is always a ball");
+            let (at, radius) = *balls.top();
             match token {
                 Token::Leaf(leaf) => {
-                    let distance = f64::from(values.next().expect("a value for each leaf")[lane]);
+                    let distance = f64::from(values[leaf_count][lane]);
+                    leaf_count += 1;
                     let reach = radius * self.steepness[leaf as usize];
                     stack.push(CellOperand { low: distance - reach, high: distance + reach, start: kept.len() });
                     kept.push(token);
                 }
                 Token::Combine(i) => {
-                    let top = stack.pop().expect("two operands");
-                    let below = stack.pop().expect("two operands");
+                    let (top, below) = (stack.pop(), stack.pop());
                     let combine = &program.combines[i as usize];
                     stack.push(combined(combine.op, combine.joint, combine.is_swapped, below, top, token, kept));
                 }
                 Token::DistanceOp(i) => {
-                    let operand = stack.last_mut().expect("one operand");
+                    let operand = stack.top_mut();
                     match program.levels[i as usize] {
                         PlacedDistanceOp::Offset(distance) => {
                             operand.low -= f64::from(distance);
@@ -204,7 +205,7 @@ impl Octree<'_> {
                     }
                     kept.push(token);
                 }
-                Token::Complement => negate(stack.last_mut().expect("one operand"), kept),
+                Token::Complement => negate(stack.top_mut(), kept),
                 Token::Enter(i) => {
                     let warp = &program.warps[i as usize];
                     let (inside, farthest) = entered(warp, at, radius);
@@ -213,8 +214,8 @@ impl Octree<'_> {
                 }
                 Token::Leave(i) => {
                     balls.pop();
-                    let (at, radius) = *balls.last().expect("there is always a ball");
-                    let operand = stack.last_mut().expect("one operand");
+                    let (at, radius) = *balls.top();
+                    let operand = stack.top_mut();
                     let (least, most) = stretches(&program.warps[i as usize], at, radius);
                     operand.low /= if operand.low > 0.0 { most } else { least };
                     operand.high /= if operand.high > 0.0 { least } else { most };
@@ -224,7 +225,7 @@ impl Octree<'_> {
                 }
             }
         }
-        stack.pop().is_some_and(|whole| whole.low <= 0.0 && whole.high >= 0.0)
+        stack.finish().is_some_and(|whole| whole.low <= 0.0 && whole.high >= 0.0)
     }
 
     /// Divides the long sides in half. A flat cell is not made flatter.
@@ -268,9 +269,9 @@ fn merge(cell: OctreeCell, first: usize, out: &mut Vec<OctreeLeaf>) {
 struct OctreeScratch {
     /// The distance to each leaf, in the order of the tokens, at the centre of each child.
     values: Vec<[f32; CHILDREN]>,
-    positions: Vec<[[f32; CHILDREN]; 3]>,
-    operands: Vec<CellOperand>,
-    balls: Vec<(DVec3, f64)>,
+    positions: OperandStack<[[f32; CHILDREN]; 3]>,
+    operands: OperandStack<CellOperand>,
+    balls: OperandStack<(DVec3, f64)>,
     /// The tokens kept by [`Octree::prune`].
     kept: Vec<Token>,
 }
@@ -288,7 +289,7 @@ fn leaf_values(program: &Program<f32>, tokens: &[Token], points: &[DVec3], scrat
     scratch.positions.push(at);
     with_vectors!((program: &Program<f32> = program, tokens: &[Token] = tokens, scratch: &mut OctreeScratch = scratch) {
         for &token in tokens {
-            let at = scratch.positions.last().expect("there is always a position");
+            let at = scratch.positions.top();
             match token {
                 Token::Leaf(leaf) => scratch.values.push(program.leaves[leaf as usize].distances(at)),
                 Token::Enter(warp) => {

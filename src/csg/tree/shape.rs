@@ -98,12 +98,11 @@ impl Shape {
     }
 
     /// Combines shapes by an operator. Fails if there are too few of them.
-    pub fn combine(op: Op, blend: Blend, shapes: Vec<Self>) -> Result<Self, ShapeError> {
-        match shapes.len() {
-            0 => Err(ShapeError::argument("shapes", format!("a {} needs at least one shape", op.name()))),
-            1 => Ok(shapes.into_iter().next().expect("there is one")),
-            _ => Self::node(Kind::Combine { op, blend }, shapes),
+    pub fn combine(op: Op, blend: Blend, mut shapes: Vec<Self>) -> Result<Self, ShapeError> {
+        if shapes.len() > 1 {
+            return Self::node(Kind::Combine { op, blend }, shapes);
         }
+        shapes.pop().ok_or_else(|| ShapeError::argument("shapes", format!("a {} needs at least one shape", op.name())))
     }
 
     /// The children, from the last to the first. An operator whose first child is the same sharp operator has the
