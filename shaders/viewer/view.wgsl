@@ -1,6 +1,6 @@
 // The picture of a view in a browser: a fragment finds the first hit of its ray among the fields of all instances,
-// sends a ray to each light, and shades the hit as fieldbake.raymarch does. Twin of src/render/shade.rs and
-// src/scene/lighting/compose.rs.
+// sends a ray to each light, and shades the hit as fieldbake.raymarch does. Twin of src/picture/lit_point.rs,
+// src/render/shade.rs and src/scene/lighting/compose.rs.
 //
 // One loop holds the ray from the eye and the rays to the lights, because drivers inline functions at each call.
 
@@ -108,46 +108,110 @@ fn slice_color(value: f32, pixel: f32) -> vec4f {
     return vec4f(color, max(opacity, max(0.55 * faded, zero)));
 }
 
+// A linear function of the pixel: the start of its ray from row 0, its direction from row 3. `aside` is the position of
+// the pixel right of and above the middle of the picture, at depth 1.
+fn pixel_sum(instance: u32, row: u32, aside: vec2f) -> vec3f {
+    let middle = frame_at(instance, row).xyz;
+    return middle + aside.x * frame_at(instance, row + 1u).xyz + aside.y * frame_at(instance, row + 2u).xyz;
+}
+
+// The slice plane on the ray of a pixel.
+struct SliceHit {
+    // Depth along the viewing axis, world units; NO_DEPTH without a hit.
+    depth: f32,
+    // Depth before which the ray is in the half that is cut away; NO_DEPTH if all of it is.
+    near: f32,
+    // Scene space.
+    p: vec3f,
+}
+
+// `start_depth` is the depth of the start of the ray, scene space.
+fn slice_hit(start: vec3f, along: vec3f, start_depth: f32) -> SliceHit {
+    var hit = SliceHit(NO_DEPTH, 0.0, vec3f(0.0));
+    if !HAS_SLICE { return hit; }
+    let descent = dot(view.slice.xyz, along);
+    if dot(view.slice.xyz, view.slice.xyz) > 0.0 && descent != 0.0 {
+        let t = (view.slice.w - dot(view.slice.xyz, start)) / descent;
+        hit.p = start + t * along;
+        let is_there = all(hit.p >= view.slice_lower.xyz) && all(hit.p <= view.slice_upper.xyz);
+        let depth = start_depth + t;
+        if depth > 0.0 && is_there { hit.depth = depth; }
+        // The half on the side of the eye is cut away. The normal of the plane points to that side.
+        if view.scene.y == 1.0 && depth > 0.0 && descent < 0.0 { hit.near = depth; }
+    }
+    // A ray that does not descend to the plane stays in the half of the eye.
+    if view.scene.y == 1.0 && descent >= 0.0 { hit.near = NO_DEPTH; }
+    return hit;
+}
+
+// The visible surface of a pixel.
+struct Surface {
+    // Scene space, with a unit normal.
+    p: vec3f,
+    normal: vec3f,
+    // Start of the rays to lights, in the space of its own field.
+    own_start: vec3f,
+    // Linear RGB: the fraction of the light that it reflects, and the light that it emits.
+    albedo: vec3f,
+    glow: vec3f,
+    specular: f32,
+    shininess: f32,
+    is_unlit: bool,
+}
+
+fn surface_of(found: Found, to_eye: vec3f) -> Surface {
+    let own = found.instance;
+    let lower = frame_at(own, 17u);
+    select_field(own);
+    var slope = vec3f(0.0);
+    if !found.at_start {
+        slope = field_slope(found.p, -found.along, lower.xyz, frame_at(own, 18u).xyz);
+    } else if found.enter_axis != NO_AXIS {
+        // The cut on a face of the box.
+        slope[found.enter_axis] = select(1.0, -1.0, found.along[found.enter_axis] > 0.0);
+    }
+    let normal = unit_or(moved_by_transpose(own, 6u, slope), to_eye);
+    let offset = bias * length(moved_by_transpose(own, 9u, normal));
+    let own_start = found.p + offset * moved(own, 6u, vec4f(normal, 0.0));
+    let tint = frame_at(own, 12u);
+    let glow = frame_at(own, 13u);
+    var albedo = tint.xyz;
+    if HAS_SHAPE && kind == KIND_SHAPE { albedo = painted(albedo, found.p); }
+    let is_unlit = (u32(lower.w) & FLAG_UNLIT) != 0u;
+    let p = moved(own, 9u, vec4f(found.p, 1.0));
+    return Surface(p, normal, own_start, albedo, glow.xyz, tint.w, glow.w, is_unlit);
+}
+
+// The pictures of values in place of colours.
+fn value_picture(picture: u32, found: Found, normal: vec3f, to_eye: vec3f, ray_steps: u32, color: vec3f) -> vec4f {
+    if picture == PICTURE_DEPTH { return as_bytes(found.depth); }
+    if picture == PICTURE_OBJECT { return as_bytes(select(-1.0, f32(found.object), found.depth < NO_DEPTH)); }
+    if picture == PICTURE_STEPS { return vec4f(heat(f32(ray_steps) / view.level.w), 1.0); }
+    if picture < PICTURE_ERROR { return as_bytes(normal[min(picture - PICTURE_NORMAL, 2u)]); }
+    if found.depth == NO_DEPTH { return vec4f(srgb(color), view.background.w); }
+    // Surfaces that face away from the eye are darker, so that the form stays visible.
+    return vec4f(heat(error_share(found.instance, found.p)) * (0.5 + 0.5 * abs(dot(normal, to_eye))), 1.0);
+}
+
 @fragment
 fn main(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let picture = u32(view.light.w);
     let count = u32(view.size.w);
     let light_count = u32(view.light.z);
-    let along_right = (position.x - 0.5 * view.size.x) * view.size.z;
-    let along_up = (position.y - 0.5 * view.size.y) * view.size.z;
+    let aside = (position.xy - 0.5 * view.size.xy) * view.size.z;
 
     // The slice plane on the ray. Row `count` of the frames holds the rays of scene space.
-    let scene_start = frame_at(count, 0u).xyz + along_right * frame_at(count, 1u).xyz + along_up * frame_at(count, 2u).xyz;
-    let scene_along = frame_at(count, 3u).xyz + along_right * frame_at(count, 4u).xyz + along_up * frame_at(count, 5u).xyz;
+    let scene_along = pixel_sum(count, 3u, aside);
     let to_eye = -normalize(scene_along);
-    var slice_depth = NO_DEPTH;
-    var slice_point = vec3f(0.0);
-    var near = 0.0;
-    let descent = dot(view.slice.xyz, scene_along);
-    if HAS_SLICE && dot(view.slice.xyz, view.slice.xyz) > 0.0 && descent != 0.0 {
-        let t = (view.slice.w - dot(view.slice.xyz, scene_start)) / descent;
-        slice_point = scene_start + t * scene_along;
-        let is_there = all(slice_point >= view.slice_lower.xyz) && all(slice_point <= view.slice_upper.xyz);
-        let depth = frame_at(count, 0u).w + t;
-        if depth > 0.0 && is_there { slice_depth = depth; }
-        // The half on the side of the eye is cut away. The normal of the plane points to that side.
-        if view.scene.y == 1.0 && depth > 0.0 && descent < 0.0 { near = depth; }
-    }
-    // A ray that does not descend to the plane stays in the half of the eye.
-    if HAS_SLICE && view.scene.y == 1.0 && descent >= 0.0 { near = NO_DEPTH; }
+    let cut = slice_hit(pixel_sum(count, 0u, aside), scene_along, frame_at(count, 0u).w);
     var slice_value = NO_DEPTH;
-    if HAS_SLICE && slice_depth < NO_DEPTH { slice_value = distance_to_scene(slice_point, count) + view.level.x; }
+    if HAS_SLICE && cut.depth < NO_DEPTH { slice_value = distance_to_scene(cut.p, count) + view.level.x; }
     if HAS_SLICE && !IS_MOTION && picture == PICTURE_SLICE { return as_bytes(slice_value); }
 
     var found: Found;
     found.depth = NO_DEPTH;
-    var p_scene = vec3f(0.0);
-    var own_start = vec3f(0.0);
-    var normal = vec3f(0.0);
-    var albedo = vec3f(0.0);
+    var surface: Surface;
     var color = view.background.xyz;
-    var specular = 0.0;
-    var shininess = 1.0;
     var ray_steps = 0u;
     steps = 0u;
     let is_color = picture == PICTURE_COLOR;
@@ -155,36 +219,35 @@ fn main(@builtin(position) position: vec4f) -> @location(0) vec4f {
         var light: Light;
         var reach = NO_DEPTH;
         if r > 0u {
-            let found_light = light_at(count + r, p_scene);
+            let found_light = light_at(count + r, surface.p);
             light = found_light.light;
             reach = found_light.reach;
-            if dot(normal, light.direction) >= 0.0 { continue; }
+            if dot(surface.normal, light.direction) >= 0.0 { continue; }
         }
         var is_dark = false;
         for (var i = 0u; i < count; i++) {
             let lower = frame_at(i, 17u);
             let upper = frame_at(i, 18u);
             if (u32(lower.w) & select(FLAG_CASTS, FLAG_VISIBLE, r == 0u)) == 0u { continue; }
-            var start = own_start;
+            var start = surface.own_start;
             var along = vec3f(0.0);
             var before = 0.0;
             if r == 0u {
-                let middle = frame_at(i, 0u);
-                before = middle.w;
-                start = middle.xyz + along_right * frame_at(i, 1u).xyz + along_up * frame_at(i, 2u).xyz;
-                along = frame_at(i, 3u).xyz + along_right * frame_at(i, 4u).xyz + along_up * frame_at(i, 5u).xyz;
+                before = frame_at(i, 0u).w;
+                start = pixel_sum(i, 0u, aside);
+                along = pixel_sum(i, 3u, aside);
             } else {
                 along = moved(i, 6u, vec4f(-light.direction, 0.0));
-                if i != found.instance { start = moved(i, 6u, vec4f(p_scene, 1.0)); }
+                if i != found.instance { start = moved(i, 6u, vec4f(surface.p, 1.0)); }
             }
             var ray = clip_to_field(start, along, lower.xyz, upper.xyz);
             if !ray.is_in_box { continue; }
             let per_t = length(along);
-            let skipped = near - before - ray.t_enter;
+            let skipped = cut.near - before - ray.t_enter;
             if r == 0u && skipped > 0.0 {
-                ray.origin = start + (near - before) * along;
+                ray.origin = start + (cut.near - before) * along;
                 ray.t_max -= skipped * per_t;
-                ray.t_enter = near - before;
+                ray.t_enter = cut.near - before;
                 ray.enter_axis = NO_AXIS;
             }
             let end = min(ray.t_max, (select(found.depth - before, reach, r > 0u) - ray.t_enter) * per_t);
@@ -201,54 +264,30 @@ fn main(@builtin(position) position: vec4f) -> @location(0) vec4f {
             found = Found(depth, i, u32(upper.w), ray.origin + t * ray.direction, along, t == 0.0, ray.enter_axis);
         }
         if r > 0u {
-            if !is_dark { color += light_adds(light, albedo, normal, to_eye, specular, shininess); }
+            if !is_dark {
+                color += light_adds(
+                    light, surface.albedo, surface.normal, to_eye, surface.specular, surface.shininess
+                );
+            }
             continue;
         }
         ray_steps = steps;
         if found.depth == NO_DEPTH { break; }
         if !IS_MOTION && (picture == PICTURE_STEPS || picture == PICTURE_DEPTH || picture == PICTURE_OBJECT) { break; }
 
-        // The surface that was hit.
-        let own = found.instance;
-        let lower = frame_at(own, 17u);
-        select_field(own);
-        var slope = vec3f(0.0);
-        if !found.at_start {
-            slope = field_slope(found.p, -found.along, lower.xyz, frame_at(own, 18u).xyz);
-        } else if found.enter_axis != NO_AXIS {
-            // The cut on a face of the box.
-            slope[found.enter_axis] = select(1.0, -1.0, found.along[found.enter_axis] > 0.0);
-        }
-        normal = unit_or(moved_by_transpose(own, 6u, slope), to_eye);
-        p_scene = moved(own, 9u, vec4f(found.p, 1.0));
-        let offset = bias * length(moved_by_transpose(own, 9u, normal));
-        own_start = found.p + offset * moved(own, 6u, vec4f(normal, 0.0));
-        let tint = frame_at(own, 12u);
-        let glow = frame_at(own, 13u);
-        albedo = tint.xyz;
-        if HAS_SHAPE && kind == KIND_SHAPE { albedo = painted(albedo, found.p); }
-        specular = tint.w;
-        shininess = glow.w;
-        if (!is_color && !IS_MOTION) || (u32(lower.w) & FLAG_UNLIT) != 0u {
-            color = glow.xyz + albedo;
+        surface = surface_of(found, to_eye);
+        if (!is_color && !IS_MOTION) || surface.is_unlit {
+            color = surface.glow + surface.albedo;
             break;
         }
-        color = glow.xyz + view.light.x * albedo;
+        color = surface.glow + view.light.x * surface.albedo;
     }
 
-    if !IS_MOTION && !is_color {
-        if picture == PICTURE_DEPTH { return as_bytes(found.depth); }
-        if picture == PICTURE_OBJECT { return as_bytes(select(-1.0, f32(found.object), found.depth < NO_DEPTH)); }
-        if picture == PICTURE_STEPS { return vec4f(heat(f32(ray_steps) / view.level.w), 1.0); }
-        if picture < PICTURE_ERROR { return as_bytes(normal[min(picture - PICTURE_NORMAL, 2u)]); }
-        if found.depth == NO_DEPTH { return vec4f(srgb(color), view.background.w); }
-        // Surfaces that face away from the eye are darker, so that the form stays visible.
-        return vec4f(heat(error_share(found.instance, found.p)) * (0.5 + 0.5 * abs(dot(normal, to_eye))), 1.0);
-    }
+    if !IS_MOTION && !is_color { return value_picture(picture, found, surface.normal, to_eye, ray_steps, color); }
     var shown = vec4f(srgb(color), select(view.background.w, 1.0, found.depth < NO_DEPTH));
-    if HAS_SLICE && slice_depth < NO_DEPTH && (slice_depth <= found.depth || near > 0.0) {
+    if HAS_SLICE && cut.depth < NO_DEPTH && (cut.depth <= found.depth || cut.near > 0.0) {
         let cosine = abs(dot(normalize(view.slice.xyz), to_eye));
-        let over = slice_color(slice_value, view.size.z * slice_depth / max(cosine, 0.2));
+        let over = slice_color(slice_value, view.size.z * cut.depth / max(cosine, 0.2));
         shown = vec4f(mix(shown.xyz, over.xyz, over.w), max(shown.w, over.w));
     }
     return shown;

@@ -30,6 +30,7 @@ use crate::progress::Progress;
 use bytemuck::Zeroable;
 use glam::DVec3;
 use rayon::prelude::*;
+use std::ops::ControlFlow;
 
 /// Part of the size of the smaller solid below which a gap is no error of a distance, and the least tolerance.
 const FLOOR: f64 = 1e-9;
@@ -249,6 +250,9 @@ struct Pair<'a> {
     frames: [Similarity; 2],
 }
 
+/// A point on each of two solids, their distance, and a lower bound of the distance of the solids.
+type Projected = (DVec3, DVec3, f64, f64);
+
 /// Accuracy of a pair.
 #[derive(Clone, Copy)]
 struct Accuracy {
@@ -318,39 +322,21 @@ impl<'a> Pair<'a> {
         Some(self.world(distance, (distance - lower).max(0.0), points, normal, center))
     }
 
+    /// A positive clearance, whose centre is between its closest points.
+    fn apart(&self, distance: f64, error: f64, points: [DVec3; 2], normal: DVec3) -> Clearance {
+        self.world(distance, error, points, normal, 0.5 * (points[0] + points[1]))
+    }
+
     /// [`Self::clearance`] of the geometries as they are.
     fn of_geometries(&self, accuracy: Accuracy, progress: &Progress) -> Option<Clearance> {
         let ([first, second], [here, place]) = (self.sets, self.frames);
         let mut solids =
             [Solid::new(&first.element.geometry, here, true), Solid::new(&second.element.geometry, place, true)];
         let floor = FLOOR * self.size();
-        let apart_by = |distance: f64, error: f64, points: [DVec3; 2], normal: DVec3| {
-            Some(self.world(distance, error, points, normal, 0.5 * (points[0] + points[1])))
+        let start = match self.of_triangles(&mut solids, accuracy) {
+            ControlFlow::Break(found) => return found,
+            ControlFlow::Continue(start) => start,
         };
-
-        let mut start = None;
-        if let (Some((a, radius_a)), Some((b, radius_b))) = (&first.triangles, &second.triangles) {
-            let (a, b, radii) = (a.set(), b.set(), radius_a + radius_b);
-            let nested = contains_start(&mut solids[1], a, &here, second, &place)
-                || contains_start(&mut solids[0], b, &place, first, &here);
-            if !nested {
-                let (apart, p, q) = distance([a, b], &place, accuracy.limit + radii)?;
-                let n = (p - q).try_normalize();
-                if radii == 0.0 && apart > 0.0 {
-                    let [a, b] = &mut solids;
-                    return apart_by(apart, 0.0, [p, q], direction(a, b, [p, q], self.size()));
-                }
-                if let (true, Some(n)) = (apart > radii, n) {
-                    return apart_by(apart - radii, 0.0, [p - n * *radius_a, q + n * *radius_b], n);
-                }
-                // Balls and capsules: the largest ball of the overlap lies on the line of the closest points.
-                let is_thin = *radius_a > 0.0 && *radius_b > 0.0;
-                if let (true, Some(n)) = (is_thin && (radius_a - radius_b).abs() <= apart, n) {
-                    return apart_by(apart - radii, 0.0, [p - n * *radius_a, q + n * *radius_b], n);
-                }
-                start = Some(0.5 * (p + q));
-            }
-        }
 
         let boxes = [first.posed_box(&here), second.posed_box(&place)];
         let middle = |[lower, upper]: [DVec3; 2]| 0.5 * (lower + upper);
@@ -361,46 +347,99 @@ impl<'a> Pair<'a> {
         if let Some((p, q, apart, lower)) = projected
             && apart - lower <= floor
         {
-            return if lower >= accuracy.limit {
-                None
-            } else {
-                apart_by(apart, apart - lower, [p, q], direction(a, b, [p, q], size))
-            };
+            let is_near = lower < accuracy.limit;
+            return is_near.then(|| self.apart(apart, apart - lower, [p, q], direction(a, b, [p, q], size)));
         }
-        // A mesh and a convex shape.
-        let mut tangents = None;
-        for (mesh, of, other) in [(first, 0, 1), (second, 1, 0)] {
-            let own = [here, place][of];
-            if let (Some((Triangles::Mesh(set), _)), Some((p, q, ..)), true) =
-                (&mesh.triangles, projected, solids[other].is_convex())
-                && solids[of].distance([p, q][other]) > 0.0
-                && let Some((apart, points, lower)) = distance_from_convex(set, &own, &mut solids[other], floor)
-            {
-                let [p, q] = if of == 0 { points } else { [points[1], points[0]] };
-                tangents = Some((apart, lower, p, q));
-            }
-        }
-        if let Some((apart, lower, p, q)) = tangents
+        if let Some((p, q, apart, lower)) = projected.and_then(|found| self.of_tangents(&mut solids, found, floor))
             && apart - lower <= (accuracy.relative_tolerance * apart).max(2.0 * floor)
         {
-            return if lower >= accuracy.limit {
-                None
-            } else {
-                let [a, b] = &mut solids;
-                apart_by(apart, apart - lower, [p, q], direction(a, b, [p, q], size))
-            };
+            let [a, b] = &mut solids;
+            let is_near = lower < accuracy.limit;
+            return is_near.then(|| self.apart(apart, apart - lower, [p, q], direction(a, b, [p, q], size)));
         }
+        if let Some(contact) = self.at_sheet(&mut solids, size) {
+            return Some(contact);
+        }
+        self.by_search(&mut solids, boxes, start, projected, accuracy, progress)
+    }
+
+    /// The clearance by the triangles of two sets: from surface to surface, for triangles, balls and capsules. Goes on
+    /// where it is not sufficient, with a point between the closest ones if there are triangles.
+    fn of_triangles(
+        &self,
+        solids: &mut [Solid<'_>; 2],
+        accuracy: Accuracy,
+    ) -> ControlFlow<Option<Clearance>, Option<DVec3>> {
+        let ([first, second], [here, place]) = (self.sets, self.frames);
+        let (Some((a, radius_a)), Some((b, radius_b))) = (&first.triangles, &second.triangles) else {
+            return ControlFlow::Continue(None);
+        };
+        let (a, b, radii) = (a.set(), b.set(), radius_a + radius_b);
+        let nested = contains_start(&mut solids[1], a, &here, second, &place)
+            || contains_start(&mut solids[0], b, &place, first, &here);
+        if nested {
+            return ControlFlow::Continue(None);
+        }
+        let Some((apart, p, q)) = distance([a, b], &place, accuracy.limit + radii) else {
+            return ControlFlow::Break(None);
+        };
+        if radii == 0.0 && apart > 0.0 {
+            let [a, b] = solids;
+            let normal = direction(a, b, [p, q], self.size());
+            return ControlFlow::Break(Some(self.apart(apart, 0.0, [p, q], normal)));
+        }
+        // Balls and capsules: the largest ball of the overlap lies on the line of the closest points.
+        let is_thin = *radius_a > 0.0 && *radius_b > 0.0 && (radius_a - radius_b).abs() <= apart;
+        if let (true, Some(n)) = (apart > radii || is_thin, (p - q).try_normalize()) {
+            let points = [p - n * *radius_a, q + n * *radius_b];
+            return ControlFlow::Break(Some(self.apart(apart - radii, 0.0, points, n)));
+        }
+        ControlFlow::Continue(Some(0.5 * (p + q)))
+    }
+
+    /// Closest points of a mesh and a convex solid, their distance and its lower bound; None for other pairs.
+    /// `projected` are two points outside of the other solid.
+    fn of_tangents(&self, solids: &mut [Solid<'_>; 2], (p, q, ..): Projected, floor: f64) -> Option<Projected> {
+        let mut tangents = None;
+        for (of, other) in [(0, 1), (1, 0)] {
+            if let (Some((Triangles::Mesh(set), _)), true) = (&self.sets[of].triangles, solids[other].is_convex())
+                && solids[of].distance([p, q][other]) > 0.0
+                && let Some((apart, points, lower)) =
+                    distance_from_convex(set, &self.frames[of], &mut solids[other], floor)
+            {
+                let [p, q] = if of == 0 { points } else { [points[1], points[0]] };
+                tangents = Some((p, q, apart, lower));
+            }
+        }
+        tangents
+    }
+
+    /// The contact of a sheet that has a point in the other solid.
+    fn at_sheet(&self, solids: &mut [Solid<'_>; 2], size: f64) -> Option<Clearance> {
         for (of, other) in [(0, 1), (1, 0)] {
             let Some(sheet) = self.sets[of].sheet() else { continue };
             if let Some(x) = common_point(sheet, &self.frames[of], &mut solids[other], ROUNDING * size) {
                 let outwards = solids[other].value(x).gradient;
-                let [a, b] = &mut solids;
+                let [a, b] = solids;
                 let turned = if of == 0 { outwards } else { -outwards };
                 let normal = contact_normal(a, b, x, size).unwrap_or(turned);
-                return apart_by(0.0, 0.0, [x, x], normal);
+                return Some(self.apart(0.0, 0.0, [x, x], normal));
             }
         }
-        let [a, b] = &mut solids;
+        None
+    }
+
+    /// The clearance by a search for the minimum of the larger distance of both solids, by branch and bound.
+    fn by_search(
+        &self,
+        [a, b]: &mut [Solid<'_>; 2],
+        boxes: [Option<[DVec3; 2]>; 2],
+        start: DVec3,
+        projected: Option<Projected>,
+        accuracy: Accuracy,
+        progress: &Progress,
+    ) -> Option<Clearance> {
+        let (size, floor) = (self.size() + start.length(), FLOOR * self.size());
         // The minimum lies within its value of both boxes.
         let reach = match projected {
             Some((_, _, apart, _)) => 0.5 * apart,
@@ -418,7 +457,7 @@ impl<'a> Pair<'a> {
             Geometry::Mesh(mesh) => mesh.topology().closed || of.sheet().is_some(),
             Geometry::Shape(_) => true,
         };
-        let unproven = if is_closed(first) && is_closed(second) { 0.0 } else { f64::INFINITY };
+        let unproven = if self.sets.into_iter().all(is_closed) { 0.0 } else { f64::INFINITY };
         let found = minimum(a, b, region, start, accuracy.relative_tolerance, 0.5 * floor, progress);
         // A sheet has no inside, so no clearance of it is negative.
         let has_sheet = self.sets.iter().any(|set| set.sheet().is_some());
@@ -435,7 +474,7 @@ impl<'a> Pair<'a> {
                 });
             let apart = apart.min(2.0 * found.upper);
             let error = (apart - lower.max(own)).max(unproven);
-            return apart_by(apart, error, [p, q], direction(a, b, [p, q], size));
+            return Some(self.apart(apart, error, [p, q], direction(a, b, [p, q], size)));
         }
         let (points, normal) = facing(a, b, found.at, size);
         let error = (2.0 * (found.upper - found.lower)).max(unproven);

@@ -303,10 +303,25 @@ pub(crate) fn draw(view: &ShapeView<'_>, context: &Arc<Context>, progress: &Prog
     context.read("a picture", &pixels, &mut found, progress)?;
     let mut frame = Frame::new(width as usize, height as usize, lights.len())?;
     context.read("light shares", &shares, &mut frame.shadow, progress)?;
+    light_pixels(view, &found, &mut frame, progress)?;
+    Ok(Drawing {
+        frame,
+        parts: tracer.programs.len(),
+        boxes: tracer.boxes.len(),
+        leaf_evaluations: found.iter().map(|pixel| u64::from(pixel.tokens)).sum(),
+        structures,
+        is_compiled: written.is_some(),
+        pipelines: 1 + context.written_kernel_count(),
+    })
+}
+
+/// Fills a frame from the pixels that a device found. The frame has the fractions of the lights that arrive already.
+fn light_pixels(view: &ShapeView<'_>, found: &[CsgPixel], frame: &mut Frame, progress: &Progress) -> Result<(), Error> {
+    let width = view.options.size[0] as usize;
     frame.rows().into_par_iter().enumerate().try_for_each_init(PixelScratch::default, |scratch, (y, mut row)| {
-        row.color.as_chunks_mut().0.fill(options.background);
-        for x in 0..width as usize {
-            let pixel = &found[y * width as usize + x];
+        row.color.as_chunks_mut().0.fill(view.options.background);
+        for x in 0..width {
+            let pixel = &found[y * width + x];
             if pixel.state == PIXEL_RAN_OUT {
                 row.shadow[x * row.lights..][..row.lights].fill(1.0);
                 view.draw_pixel(x, y, &mut row, scratch);
@@ -319,7 +334,7 @@ pub(crate) fn draw(view: &ShapeView<'_>, context: &Arc<Context>, progress: &Prog
                     p: ray.origin + pixel.t * ray.direction,
                     depth: view.rays.depth(&ray, pixel.t),
                     normal: Vec3::from_array(pixel.normal),
-                    part: Some(tracer.boxes[pixel.cell as usize].part),
+                    part: Some(view.tracer.boxes[pixel.cell as usize].part),
                 };
                 let shadow: Vec<f32> = row.shadow[x * row.lights..][..row.lights].to_vec();
                 let mut shares = shadow.into_iter();
@@ -327,15 +342,6 @@ pub(crate) fn draw(view: &ShapeView<'_>, context: &Arc<Context>, progress: &Prog
             }
         }
         progress.check()
-    })?;
-    Ok(Drawing {
-        frame,
-        parts: tracer.programs.len(),
-        boxes: tracer.boxes.len(),
-        leaf_evaluations: found.iter().map(|pixel| u64::from(pixel.tokens)).sum(),
-        structures,
-        is_compiled: written.is_some(),
-        pipelines: 1 + context.written_kernel_count(),
     })
 }
 

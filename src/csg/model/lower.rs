@@ -48,6 +48,13 @@ struct InheritedState {
     warps: usize,
 }
 
+impl InheritedState {
+    /// The state of a child with a placement.
+    fn placed(&self, place: &Placement) -> Self {
+        Self { place: self.place.then(place), ..self.clone() }
+    }
+}
+
 /// An entry of the stack of pending work.
 enum Task<'a> {
     Visit(&'a Shape, InheritedState),
@@ -128,7 +135,6 @@ impl Builder {
         tasks: &mut Vec<Task<'a>>,
     ) -> Result<(), ShapeError> {
         let children = shape.children();
-        let inside = |place: Placement| InheritedState { place: context.place.then(&place), ..context.clone() };
         match *shape.kind() {
             Kind::Primitive(ref primitive) => self.leaf(primitive, &context)?,
             Kind::Combine { op, blend } => {
@@ -159,38 +165,10 @@ impl Builder {
             }
             Kind::Mirror(normal) => {
                 tasks.push(Task::Combine { op: Op::Union, blend: Blend::Sharp, count: 2 });
-                tasks.push(Task::Visit(&children[0], inside(reflection(normal))));
+                tasks.push(Task::Visit(&children[0], context.placed(&reflection(normal))));
                 tasks.push(Task::Visit(&children[0], context));
             }
-            Kind::Repeat { spacing, counts } => {
-                if let Some(lattice) = self.lattice(&children[0], spacing, counts, &context)? {
-                    // The lower and the upper copy along each axis with several copies.
-                    let uppers = (0..8u8).filter(|upper| (0..3).all(|axis| counts[axis] > 1 || upper >> axis & 1 == 0));
-                    let uppers: Vec<u8> = uppers.collect();
-                    tasks.push(Task::Combine { op: Op::Union, blend: Blend::Sharp, count: uppers.len() });
-                    for upper in uppers {
-                        let kind = WarpKind::NearestCopy(Lattice { upper, ..lattice });
-                        self.enter(kind, &children[0], context.clone(), tasks)?;
-                    }
-                    return Ok(());
-                }
-                let count = counts.iter().map(|&n| n as usize).product();
-                if count > 1 {
-                    tasks.push(Task::Combine { op: Op::Union, blend: Blend::Sharp, count });
-                }
-                let middle = 0.5 * (DVec3::from(counts.map(f64::from)) - 1.0);
-                for z in 0..counts[2] {
-                    for y in 0..counts[1] {
-                        for x in 0..counts[0] {
-                            let at = spacing * (DVec3::from([x, y, z].map(f64::from)) - middle);
-                            tasks.push(Task::Visit(
-                                &children[0],
-                                inside(Placement { translation: at, ..Placement::HERE }),
-                            ));
-                        }
-                    }
-                }
-            }
+            Kind::Repeat { spacing, counts } => self.repeat(&children[0], spacing, counts, &context, tasks)?,
             Kind::Elongate(half) => self.enter(WarpKind::Elongate(half), &children[0], context, tasks)?,
             Kind::Twist(degrees) => self.enter(WarpKind::Twist(degrees.to_radians()), &children[0], context, tasks)?,
             Kind::Bend(degrees) => self.enter(WarpKind::Bend(degrees.to_radians()), &children[0], context, tasks)?,
@@ -210,15 +188,50 @@ impl Builder {
                 tasks.push(Task::Visit(&children[0], InheritedState { coat: Some(Arc::new(coat)), ..context }));
             }
             Kind::Move(_) | Kind::Rotate { .. } | Kind::Turn(_) | Kind::Scale(_) | Kind::Reflect(_) => {
-                let place = Placement::of_kind(shape.kind());
-                let scale = context.place.scale * place.scale;
-                let reach = context.place.then(&place).translation.abs().max_element();
+                let placed = context.placed(&Placement::of_kind(shape.kind()));
+                let (scale, reach) = (placed.place.scale, placed.place.translation.abs().max_element());
                 if !(MIN_SCALE..=1.0 / MIN_SCALE).contains(&scale) || reach.is_nan() || reach > MAX_REACH {
                     let problem =
                         format!("grows or moves a part out of range: scaled by {scale:e}, moved by {reach:e}");
                     return Err(ShapeError::argument("shape", problem));
                 }
-                tasks.push(Task::Visit(&children[0], inside(place)));
+                tasks.push(Task::Visit(&children[0], placed));
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds the tasks of a repetition: copies that the position selects, or the union of all copies.
+    fn repeat<'a>(
+        &mut self,
+        child: &'a Shape,
+        spacing: DVec3,
+        counts: [u32; 3],
+        context: &InheritedState,
+        tasks: &mut Vec<Task<'a>>,
+    ) -> Result<(), ShapeError> {
+        if let Some(lattice) = self.lattice(child, spacing, counts, context)? {
+            // The lower and the upper copy along each axis with several copies.
+            let uppers = (0..8u8).filter(|upper| (0..3).all(|axis| counts[axis] > 1 || upper >> axis & 1 == 0));
+            let uppers: Vec<u8> = uppers.collect();
+            tasks.push(Task::Combine { op: Op::Union, blend: Blend::Sharp, count: uppers.len() });
+            for upper in uppers {
+                self.enter(WarpKind::NearestCopy(Lattice { upper, ..lattice }), child, context.clone(), tasks)?;
+            }
+            return Ok(());
+        }
+        let count = counts.iter().map(|&n| n as usize).product();
+        if count > 1 {
+            tasks.push(Task::Combine { op: Op::Union, blend: Blend::Sharp, count });
+        }
+        let middle = 0.5 * (DVec3::from(counts.map(f64::from)) - 1.0);
+        for z in 0..counts[2] {
+            for y in 0..counts[1] {
+                for x in 0..counts[0] {
+                    let at = spacing * (DVec3::from([x, y, z].map(f64::from)) - middle);
+                    let place = Placement { translation: at, ..Placement::HERE };
+                    tasks.push(Task::Visit(child, context.placed(&place)));
+                }
             }
         }
         Ok(())

@@ -284,35 +284,9 @@ impl<'a> ReadForm<'a> {
     fn shape(&self, written: &str) -> Result<Shape, ShapeError> {
         let name = written.replace('_', "-");
         let n = self.numbers.as_slice();
-
-        // Operators, with their joint.
-        let (joint, op) = match (name.as_str(), self.words.as_slice()) {
-            ("blend" | "chamfer", &[op]) => (name.as_str(), op),
-            ("blend" | "chamfer", _) => {
-                let problem = format!("{written} takes union, inter, diff or xor, a width, and shapes");
-                return Err(self.start.error(problem));
-            }
-            (_, &[word, ..]) => return Err(self.start.error(format!("{written} does not take {}", quoted(word)))),
-            (whole, &[]) => match whole.split_once('-') {
-                Some((joint @ ("blend" | "chamfer"), op)) => (joint, op),
-                _ => ("sharp", whole),
-            },
-        };
-        if let Some(&(_, op)) = OPERATORS.iter().find(|(word, _)| *word == op) {
-            let blend = match (joint, n) {
-                ("sharp", &[]) => Blend::Sharp,
-                ("blend", &[k]) => Blend::new(k, 0.0)?,
-                ("chamfer", &[k]) => Blend::new(0.0, k)?,
-                ("sharp", _) => return Err(self.start.error(format!("{written} takes shapes only, not numbers"))),
-                _ => return Err(self.start.error(format!("{written} takes one width before its shapes"))),
-            };
-            self.expect_shapes(written, 1, usize::MAX)?;
-            return Shape::combine(op, blend, self.shapes.clone());
+        if let Some(combined) = self.combined(written, &name)? {
+            return Ok(combined);
         }
-        if joint != "sharp" {
-            return Err(self.start.error(format!("{written} takes union, inter, diff or xor, a width, and shapes")));
-        }
-
         if let ("extrude", &[_] | &[_, _, _, _]) | ("revolve", &[_]) = (name.as_str(), n) {
             let [profile] = self.profiles.as_slice() else {
                 return Err(self
@@ -335,24 +309,7 @@ impl<'a> ReadForm<'a> {
             return self.shapes[0].changed(operation, &arguments);
         }
         match (name.as_str(), n) {
-            ("rotate", &[x, y, z, w]) => {
-                let largest = [x, y, z, w].into_iter().map(f64::abs).fold(0.0, f64::max);
-                if largest == 0.0 {
-                    return Err(self.start.error("the quaternion of rotate is zero"));
-                }
-                self.expect_shapes(written, 1, 1)?;
-                let turn = DQuat::from_xyzw(x / largest, y / largest, z / largest, w / largest);
-                if turn.xyz() == DVec3::ZERO || is_coordinate_axis(turn.xyz()) {
-                    let (axis, angle) = turn.normalize().to_axis_angle();
-                    return self.shapes[0].changed("rotate", &[axis.x, axis.y, axis.z, angle.to_degrees()]);
-                }
-                // A quaternion that has unit length but for rounding keeps its bits, so that a written shape is the
-                // same when it is read.
-                let written = DQuat::from_xyzw(x, y, z, w);
-                let is_unit = (written.length_squared() - 1.0).abs() <= 8.0 * f64::EPSILON;
-                let turn = if is_unit { written } else { turn.normalize() };
-                self.shapes[0].changed("turn", &turn.to_array())
-            }
+            ("rotate", &[x, y, z, w]) => self.rotated(written, [x, y, z, w]),
             ("align", &[x, y, z]) => {
                 self.expect_shapes(written, 1, 1)?;
                 aligned(&self.shapes[0], DVec3::new(x, y, z))
@@ -361,19 +318,74 @@ impl<'a> ReadForm<'a> {
                 self.expect_shapes(written, 2, 2)?;
                 self.shapes[0].stencil(&self.shapes[1], [r, g, b], name == "mask")
             }
-            (name, n) => {
-                let rows = WORDS.iter().chain(MODIFIERS).filter(|row| row.word == name).map(Word::usage);
-                let others =
-                    OTHER_USAGES.iter().filter(|(word, _)| *word == name).map(|(_, usage)| (*usage).to_owned());
-                let usages: Vec<String> = rows.chain(others).collect();
-                if usages.is_empty() {
-                    return Err(self.start.error(format!("{} is no shape, operator or modifier", quoted(written))));
-                }
-                let s = if n.len() == 1 { "" } else { "s" };
-                let problem = format!("{name} does not take {} number{s}, expected {}", n.len(), usages.join(" or "));
-                Err(self.start.error(problem))
-            }
+            (name, n) => Err(self.unknown(written, name, n)),
         }
+    }
+
+    /// The shape turned by a quaternion.
+    fn rotated(&self, written: &str, [x, y, z, w]: [f64; 4]) -> Result<Shape, ShapeError> {
+        let largest = [x, y, z, w].into_iter().map(f64::abs).fold(0.0, f64::max);
+        if largest == 0.0 {
+            return Err(self.start.error("the quaternion of rotate is zero"));
+        }
+        self.expect_shapes(written, 1, 1)?;
+        let turn = DQuat::from_xyzw(x / largest, y / largest, z / largest, w / largest);
+        if turn.xyz() == DVec3::ZERO || is_coordinate_axis(turn.xyz()) {
+            let (axis, angle) = turn.normalize().to_axis_angle();
+            return self.shapes[0].changed("rotate", &[axis.x, axis.y, axis.z, angle.to_degrees()]);
+        }
+        // A quaternion that has unit length but for rounding keeps its bits, so that a written shape is the
+        // same when it is read.
+        let written = DQuat::from_xyzw(x, y, z, w);
+        let is_unit = (written.length_squared() - 1.0).abs() <= 8.0 * f64::EPSILON;
+        let turn = if is_unit { written } else { turn.normalize() };
+        self.shapes[0].changed("turn", &turn.to_array())
+    }
+
+    /// The error for a name without a form for these numbers.
+    fn unknown(&self, written: &str, name: &str, n: &[f64]) -> ShapeError {
+        let rows = WORDS.iter().chain(MODIFIERS).filter(|row| row.word == name).map(Word::usage);
+        let others = OTHER_USAGES.iter().filter(|(word, _)| *word == name).map(|(_, usage)| (*usage).to_owned());
+        let usages: Vec<String> = rows.chain(others).collect();
+        if usages.is_empty() {
+            return self.start.error(format!("{} is no shape, operator or modifier", quoted(written)));
+        }
+        let s = if n.len() == 1 { "" } else { "s" };
+        let problem = format!("{name} does not take {} number{s}, expected {}", n.len(), usages.join(" or "));
+        self.start.error(problem)
+    }
+
+    /// The shapes under an operator with its joint; None if the form has another name.
+    fn combined(&self, written: &str, name: &str) -> Result<Option<Shape>, ShapeError> {
+        let n = self.numbers.as_slice();
+        let (joint, op) = match (name, self.words.as_slice()) {
+            ("blend" | "chamfer", &[op]) => (name, op),
+            ("blend" | "chamfer", _) => {
+                let problem = format!("{written} takes union, inter, diff or xor, a width, and shapes");
+                return Err(self.start.error(problem));
+            }
+            (_, &[word, ..]) => return Err(self.start.error(format!("{written} does not take {}", quoted(word)))),
+            (whole, &[]) => match whole.split_once('-') {
+                Some((joint @ ("blend" | "chamfer"), op)) => (joint, op),
+                _ => ("sharp", whole),
+            },
+        };
+        if let Some(&(_, op)) = OPERATORS.iter().find(|(word, _)| *word == op) {
+            let blend = match (joint, n) {
+                ("sharp", &[]) => Blend::Sharp,
+                ("blend", &[k]) => Blend::new(k, 0.0)?,
+                ("chamfer", &[k]) => Blend::new(0.0, k)?,
+                ("sharp", _) => return Err(self.start.error(format!("{written} takes shapes only, not numbers"))),
+                _ => return Err(self.start.error(format!("{written} takes one width before its shapes"))),
+            };
+            self.expect_shapes(written, 1, usize::MAX)?;
+            return Shape::combine(op, blend, self.shapes.clone()).map(Some);
+        }
+        if joint != "sharp" {
+            return Err(self.start.error(format!("{written} takes union, inter, diff or xor, a width, and shapes")));
+        }
+
+        Ok(None)
     }
 
     fn expect_shapes(&self, name: &str, least: usize, most: usize) -> Result<(), ShapeError> {

@@ -228,36 +228,8 @@ impl<'a> Writer<'a> {
                     stack.push(name);
                 }
                 (Token::Enter(i), _) => {
-                    let warp = self.program.warps[i as usize];
-                    let at = self.placement(&warp.rows, warp.shift);
-                    let what = match self.model.warps[i as usize].kind {
-                        WarpKind::Elongate(_) => "elongate",
-                        WarpKind::Twist(_) => "twist",
-                        WarpKind::Bend(_) => "bend",
-                        WarpKind::NearestCopy(_) => "the nearest copy",
-                    };
-                    let place = self.statement("q", &format!("place_at({p}, {at})"), &format!("the space of {what}"));
-                    let call = match warp.kind {
-                        PlacedWarpKind::Elongate(half) => {
-                            let half = half.map(|x| self.number(x)).join(", ");
-                            format!("{place} - clamp({place}, -vec3f({half}), vec3f({half}))")
-                        }
-                        PlacedWarpKind::Twist(rate) => {
-                            format!("turned_about_z({place}, -{} * {place}.z)", self.number(rate))
-                        }
-                        PlacedWarpKind::Bend(rate) => {
-                            format!("turned_about_z({place}, -{} * {place}.x)", self.number(rate))
-                        }
-                        PlacedWarpKind::NearestCopy(axes) => {
-                            let vectors = by_number(&axes).map(|v| v.map(|x| self.number(x)).join(", "));
-                            format!("nearest_copy({place}, {})", vectors.map(|v| format!("vec3f({v})")).join(", "))
-                        }
-                    };
-                    let inside = self.statement("q", &call, "");
-                    // The divisor of its distances, for the matching end.
-                    let rate = self.number(warp.rate);
-                    let radius = self.number(warp.radius);
-                    stack.push(format!("(1.0 + {rate} * max(length({place}.xy), {radius}))"));
+                    let (inside, stretch) = self.enter(i, &p);
+                    stack.push(stretch);
                     spaces.push(inside);
                     self.depth += 1;
                 }
@@ -277,6 +249,41 @@ impl<'a> Writer<'a> {
             }
         }
         stack.pop().unwrap_or_else(|| "CSG_FAR".to_owned())
+    }
+
+    /// Generates the statements that enter a warp at the position `p`. Returns the expressions of the position inside
+    /// it, and of the divisor of its distances.
+    fn enter(&mut self, i: u32, p: &str) -> (String, String) {
+        let warp = self.program.warps[i as usize];
+        let at = self.placement(&warp.rows, warp.shift);
+        let what = match self.model.warps[i as usize].kind {
+            WarpKind::Elongate(_) => "elongate",
+            WarpKind::Twist(_) => "twist",
+            WarpKind::Bend(_) => "bend",
+            WarpKind::NearestCopy(_) => "the nearest copy",
+        };
+        let place = self.statement("q", &format!("place_at({p}, {at})"), &format!("the space of {what}"));
+        let call = match warp.kind {
+            PlacedWarpKind::Elongate(half) => {
+                let half = half.map(|x| self.number(x)).join(", ");
+                format!("{place} - clamp({place}, -vec3f({half}), vec3f({half}))")
+            }
+            PlacedWarpKind::Twist(rate) => {
+                format!("turned_about_z({place}, -{} * {place}.z)", self.number(rate))
+            }
+            PlacedWarpKind::Bend(rate) => {
+                format!("turned_about_z({place}, -{} * {place}.x)", self.number(rate))
+            }
+            PlacedWarpKind::NearestCopy(axes) => {
+                let vectors = by_number(&axes).map(|v| v.map(|x| self.number(x)).join(", "));
+                format!("nearest_copy({place}, {})", vectors.map(|v| format!("vec3f({v})")).join(", "))
+            }
+        };
+        let inside = self.statement("q", &call, "");
+        // The divisor, for the matching end.
+        let rate = self.number(warp.rate);
+        let radius = self.number(warp.radius);
+        (inside, format!("(1.0 + {rate} * max(length({place}.xy), {radius}))"))
     }
 
     fn statement(&mut self, prefix: &str, expression: &str, comment: &str) -> String {

@@ -206,6 +206,30 @@ impl Occluders {
         })
     }
 
+    /// The part of a cone that the ball of a nearby instance covers. `reach` is the length of the cone.
+    #[inline]
+    fn ball(&mut self, i: usize, direction: Vec3, reach: f32) -> CoveringBall {
+        let Self { toward: [x, y, z], squared, radius, cones, weight, .. } = self;
+        let (toward, squared) = (Vec3::new(x[i], y[i], z[i]), squared[i]);
+        let along = toward.dot(direction);
+        // Inside a ball the radius is 0, and the ball bounds nothing.
+        let (covered, weight) = match radius[i] {
+            0.0 => (1.0, 1.0),
+            radius => {
+                if weight[i].is_nan() {
+                    weight[i] = ball_weight(cones, toward, radius);
+                }
+                (within_reach(squared, radius, reach) * covered_by_ball(along, squared, radius), weight[i])
+            }
+        };
+        CoveringBall { along, squared, covered, weight }
+    }
+
+    /// The instances beside an occluder in a cone.
+    fn beside(&self, slope: f32) -> Beside<'_> {
+        Beside { nearby: &self.nearby, candidates: &self.candidates, slope }
+    }
+
     /// Finds the instances that a cone may intersect.
     fn find_candidates(&mut self, axis: Vec3) {
         let Self { toward: [x, y, z], squared, radius, tangent, limit, candidates, .. } = self;
@@ -215,6 +239,17 @@ impl Occluders {
             balls.find_candidates(axis, candidates)
         })
     }
+}
+
+/// The ball around the surface of a nearby instance, beside the axis of a cone.
+struct CoveringBall {
+    /// Position of the centre along the axis, and its squared distance from the apex, scene units.
+    along: f32,
+    squared: f32,
+    /// Largest fraction of the section of the cone that the ball covers within the reach of the cone.
+    covered: f32,
+    /// Factor of the covered fraction, see [`ball_weight`].
+    weight: f32,
 }
 
 /// Largest fraction of a cone's section that a ball covers: its own disc, as far as it lies within the rim of the cone,
@@ -330,33 +365,20 @@ impl TracedScene<'_> {
         let reach = self.reach(&split, ray);
         let line = Line::cone(place.p.as_vec3(), direction, slope);
         occluders.find_candidates(direction);
-        let Occluders { nearby, toward: [x, y, z], squared, radius, cones, weight, candidates, .. } = occluders;
         let mut sum = ConeSum::NEW;
         // The fraction that all instances without thin rays let pass, each beside the others, and the sum of the
         // fractions that they block.
         let (mut passes, mut blocked) = (1.0f32, 0.0f32);
-        for row in 0..candidates.len() {
-            let nearest = candidates[row];
-            let i = nearest.index as usize;
-            let item = nearby.items[i];
+        for row in 0..occluders.candidates.len() {
+            let nearest = occluders.candidates[row];
+            let item = occluders.nearby.items[nearest.index as usize];
             let instance = &self.scene.instances[item as usize];
             let bounds = &self.scene.boxes[item as usize];
             if nearest.x >= 1.0 || line.span(bounds.min, bounds.max, reach).is_none() {
                 continue;
             }
-            let toward = Vec3::new(x[i], y[i], z[i]);
-            let along = toward.dot(direction);
-            // Inside a ball the radius is 0, and the ball bounds nothing.
-            let (covered, weight) = match radius[i] {
-                0.0 => (1.0, 1.0),
-                radius => {
-                    if weight[i].is_nan() {
-                        weight[i] = ball_weight(cones, toward, radius);
-                    }
-                    let covered = covered_by_ball(along, squared[i], radius);
-                    (within_reach(squared[i], radius, ray.t_max as f32) * covered, weight[i])
-                }
-            };
+            let CoveringBall { along, squared, covered, weight } =
+                occluders.ball(nearest.index as usize, direction, ray.t_max as f32);
             let prefers_rays = instance.field.as_ref().is_some_and(|field| field.prefers_rays());
             let fill = self.scene.balls()[item as usize].fill;
             let block = |covered: f32| instance.shade * (weight * covered).min(1.0);
@@ -368,9 +390,8 @@ impl TracedScene<'_> {
             }
             // The own field is evaluated from a point that is moved off the surface.
             let moved = if item == place.own { bias(instance, place) } else { 0.0 };
-            let ball =
-                BallAhead { along, squared: squared[i], radius: self.scene.balls()[item as usize].radius + moved };
-            let wide = WideCone { beside: Beside { nearby, candidates, slope }, least_x: nearest.x, ball };
+            let ball = BallAhead { along, squared, radius: self.scene.balls()[item as usize].radius + moved };
+            let wide = WideCone { beside: occluders.beside(slope), least_x: nearest.x, ball };
             // The sum has the thin rays of all instances, and nothing of the others.
             let (mut found, mut beside, mut own) = (1.0f32, 1.0f32, ConeSum::NEW);
             for occluder in self.occluders(item, place, ray, &split) {
@@ -392,10 +413,10 @@ impl TracedScene<'_> {
             }
             // Behind the start of a far field a cone and a ray in it end at different positions.
             if self.far.is_none() {
-                candidates[row].x = nearest.x.max(clearance(found));
+                occluders.candidates[row].x = nearest.x.max(clearance(found));
             }
         }
-        let wide = WideCone { beside: Beside { nearby, candidates, slope }, least_x: -1.0, ball: BallAhead::ENDLESS };
+        let wide = WideCone { beside: occluders.beside(slope), least_x: -1.0, ball: BallAhead::ENDLESS };
         let is_far = self.add_far(&split, cone, Some(&wide), &mut sum, work);
         work.count(is_far);
         passes.max(1.0 - blocked) * sum.share().share
