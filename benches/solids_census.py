@@ -196,7 +196,7 @@ def check_part(census, seed):
         expected, deviation = volume_of(solid)
         bound = VOLUME_ERRORS[0] if wall >= 3 else VOLUME_ERRORS[1]
         error = abs(mesh.volume - expected) / expected
-        # A warning names walls below half a voxel, which no grid of this resolution has.
+        # A warning names walls and gaps thinner than a voxel, which this resolution does not represent.
         if not (error <= bound + 4 * deviation or mesh.report.warnings):
             found.append(f"volume {mesh.volume:.5g}, expected {expected:.5g}: {100 * error:.2f} %")
         beyond = max((solid.bounds[0] - mesh.bounds[0]).max(), (mesh.bounds[1] - solid.bounds[1]).max())

@@ -90,6 +90,15 @@ def test_walls_thinner_than_a_voxel_are_a_warning():
         assert len(plate.to_mesh(voxel_size=0.1).report.warnings) == warnings
 
 
+@pytest.mark.parametrize(("voxels", "warnings"), [(0.5, 1), (0.8, 1), (1.2, 0)])
+def test_gaps_thinner_than_a_voxel_are_a_warning(voxels, warnings):
+    gap = fb.box((3, 3, voxels * 0.05))
+    halves = (fb.box((2, 2, 1)) - gap).rotate((1, 2, 3), 40)
+    with pytest.warns(fb.SurfaceWarning, match="gaps thinner") if warnings else contextlib.nullcontext():
+        mesh = halves.to_mesh(voxel_size=0.05)
+    assert len(mesh.report.warnings) == warnings
+
+
 @pytest.mark.parametrize("wall", [0.5, 1.2, 3])
 def test_shells_and_booleans_do_not_cross_themselves(wall):
     ball, knot = fb.sphere().to_mesh(40), fb.models.torus_knot()

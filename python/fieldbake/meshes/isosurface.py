@@ -24,9 +24,9 @@ NEWTON_STEPS = 2
 #: Probes whose tangent planes are evaluated at once: 100 MB of results of a query.
 BATCH = 1 << 20
 
-#: Faces at which the thickness of walls is examined, and the fraction of the surface that may bound walls thinner than
-#: a voxel, as at the tips and edges of an ordinary solid. The edges of the grid pass through thinner walls between two
-#: samples.
+#: Faces at which the thickness of walls and gaps is examined, and the fraction of the surface that may bound walls or
+#: gaps thinner than a voxel, as at the tips and edges of an ordinary solid. The edges of the grid pass through thinner
+#: ones between two samples.
 WALL_FACES = 2048
 THIN_SHARE = 0.05
 
@@ -209,7 +209,7 @@ def extract(
 
 
 def with_thin_walls(mesh: Mesh, shape: _core.Shape, voxel: float, lost: int) -> Mesh:
-    """Warn if many walls of the mesh of a shape are thinner than a voxel, and add the warning to its report.
+    """Warn if many walls or gaps of the mesh of a shape are thinner than a voxel, and add the warning to its report.
 
     `lost` is the number of squares of a voxel that walls without a sample inside have.
     """
@@ -219,15 +219,16 @@ def with_thin_walls(mesh: Mesh, shape: _core.Shape, voxel: float, lost: int) -> 
     areas = np.linalg.norm(normals, axis=1)
     # A face without an area has no normal, and bounds no wall.
     corners, normals, areas = (values[areas > 0] for values in (corners, normals, areas))
-    within = corners.mean(axis=1) - voxel * normals / areas[:, None]
+    centers, outward = corners.mean(axis=1), voxel * normals / areas[:, None]
+    is_thin = (shape.distance(centers - outward, "cpu") > 0) | (shape.distance(centers + outward, "cpu") < 0)
     # Each entry of `areas` is twice the area of a face, and a wall has two sides.
     missing = 4 * lost * voxel**2 / step
-    thin = missing + float(areas[shape.distance(within, "cpu") > 0].sum())
+    thin = missing + float(areas[is_thin].sum())
     share = thin / max(missing + float(areas.sum()), np.finfo(float).tiny)
     if share > THIN_SHARE:
         warnings = (
-            f"resolution: about {100 * share:.0f} % of the surface bounds walls thinner than a voxel "
-            f"({voxel:.3g}), which the mesh may lose; choose more voxels",
+            f"resolution: about {100 * share:.0f} % of the surface bounds walls or gaps thinner than a voxel "
+            f"({voxel:.3g}), which the mesh may lose or close; choose more voxels",
         )
         warn_surface(warnings)
         mesh._report = replace(mesh._report or SurfaceReport(), warnings=warnings)

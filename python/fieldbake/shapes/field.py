@@ -155,7 +155,8 @@ class Field(Viewable, Sectioned):
         Warns
         -----
         SurfaceWarning
-            If more than 5 % of the surface bounds walls thinner than a voxel, also of walls that the mesh lacks.
+            If more than 5 % of the surface bounds walls or gaps thinner than a voxel, also of walls that the mesh
+            lacks.
 
         Notes
         -----
