@@ -125,7 +125,8 @@ struct SliceHit {
     p: vec3f,
 }
 
-// `start_depth` is the depth of the start of the ray, scene space.
+// The ray has the start `start` and the direction `along`, in scene space. `start_depth` is the depth of the start
+// along the viewing axis, world units.
 fn slice_hit(start: vec3f, along: vec3f, start_depth: f32) -> SliceHit {
     var hit = SliceHit(NO_DEPTH, 0.0, vec3f(0.0));
     if !HAS_SLICE { return hit; }

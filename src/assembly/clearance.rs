@@ -322,8 +322,8 @@ impl<'a> Pair<'a> {
         Some(self.world(distance, (distance - lower).max(0.0), points, normal, center))
     }
 
-    /// A positive clearance, whose centre is between its closest points.
-    fn apart(&self, distance: f64, error: f64, points: [DVec3; 2], normal: DVec3) -> Clearance {
+    /// A clearance in world space whose centre is the midpoint of its two points; negative for an overlap.
+    fn between_points(&self, distance: f64, error: f64, points: [DVec3; 2], normal: DVec3) -> Clearance {
         self.world(distance, error, points, normal, 0.5 * (points[0] + points[1]))
     }
 
@@ -348,14 +348,14 @@ impl<'a> Pair<'a> {
             && apart - lower <= floor
         {
             let is_near = lower < accuracy.limit;
-            return is_near.then(|| self.apart(apart, apart - lower, [p, q], direction(a, b, [p, q], size)));
+            return is_near.then(|| self.between_points(apart, apart - lower, [p, q], direction(a, b, [p, q], size)));
         }
         if let Some((p, q, apart, lower)) = projected.and_then(|found| self.of_tangents(&mut solids, found, floor))
             && apart - lower <= (accuracy.relative_tolerance * apart).max(2.0 * floor)
         {
             let [a, b] = &mut solids;
             let is_near = lower < accuracy.limit;
-            return is_near.then(|| self.apart(apart, apart - lower, [p, q], direction(a, b, [p, q], size)));
+            return is_near.then(|| self.between_points(apart, apart - lower, [p, q], direction(a, b, [p, q], size)));
         }
         if let Some(contact) = self.at_sheet(&mut solids, size) {
             return Some(contact);
@@ -363,8 +363,10 @@ impl<'a> Pair<'a> {
         self.by_search(&mut solids, boxes, start, projected, accuracy, progress)
     }
 
-    /// The clearance by the triangles of two sets: from surface to surface, for triangles, balls and capsules. Goes on
-    /// where it is not sufficient, with a point between the closest ones if there are triangles.
+    /// The clearance by the triangles of both solids: from surface to surface, for meshes, balls and capsules.
+    ///
+    /// `Break` has the result; None if the distance is at least the limit. `Continue` means that triangles do not
+    /// suffice. It has the midpoint of the closest points, or None for nested solids and without triangles.
     fn of_triangles(
         &self,
         solids: &mut [Solid<'_>; 2],
@@ -386,19 +388,19 @@ impl<'a> Pair<'a> {
         if radii == 0.0 && apart > 0.0 {
             let [a, b] = solids;
             let normal = direction(a, b, [p, q], self.size());
-            return ControlFlow::Break(Some(self.apart(apart, 0.0, [p, q], normal)));
+            return ControlFlow::Break(Some(self.between_points(apart, 0.0, [p, q], normal)));
         }
         // Balls and capsules: the largest ball of the overlap lies on the line of the closest points.
         let is_thin = *radius_a > 0.0 && *radius_b > 0.0 && (radius_a - radius_b).abs() <= apart;
         if let (true, Some(n)) = (apart > radii || is_thin, (p - q).try_normalize()) {
             let points = [p - n * *radius_a, q + n * *radius_b];
-            return ControlFlow::Break(Some(self.apart(apart - radii, 0.0, points, n)));
+            return ControlFlow::Break(Some(self.between_points(apart - radii, 0.0, points, n)));
         }
         ControlFlow::Continue(Some(0.5 * (p + q)))
     }
 
-    /// Closest points of a mesh and a convex solid, their distance and its lower bound; None for other pairs.
-    /// `projected` are two points outside of the other solid.
+    /// Closest points of a mesh and a convex solid, their distance and its lower bound. None for other pairs, and where
+    /// the point on the convex solid is not outside the mesh. `p` and `q` are points on the first and second solid.
     fn of_tangents(&self, solids: &mut [Solid<'_>; 2], (p, q, ..): Projected, floor: f64) -> Option<Projected> {
         let mut tangents = None;
         for (of, other) in [(0, 1), (1, 0)] {
@@ -423,7 +425,7 @@ impl<'a> Pair<'a> {
                 let [a, b] = solids;
                 let turned = if of == 0 { outwards } else { -outwards };
                 let normal = contact_normal(a, b, x, size).unwrap_or(turned);
-                return Some(self.apart(0.0, 0.0, [x, x], normal));
+                return Some(self.between_points(0.0, 0.0, [x, x], normal));
             }
         }
         None
@@ -474,7 +476,7 @@ impl<'a> Pair<'a> {
                 });
             let apart = apart.min(2.0 * found.upper);
             let error = (apart - lower.max(own)).max(unproven);
-            return Some(self.apart(apart, error, [p, q], direction(a, b, [p, q], size)));
+            return Some(self.between_points(apart, error, [p, q], direction(a, b, [p, q], size)));
         }
         let (points, normal) = facing(a, b, found.at, size);
         let error = (2.0 * (found.upper - found.lower)).max(unproven);

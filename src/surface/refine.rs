@@ -40,7 +40,7 @@ const LAST_STEP: f64 = 0.02;
 /// Number of steps of the search for the source.
 const STEPS: usize = 3;
 
-/// Smallest cosine between the normals of a face before and after the change.
+/// Smallest cosine between the normal of a changed face and the mean normal at its corners.
 const LEAST_COSINE: f64 = 0.05;
 
 /// Smallest height of a part of a face, voxels.
@@ -89,7 +89,7 @@ struct Change {
 }
 
 impl Change {
-    /// Whether the place before was so far from the source that it is changed, but not on another feature.
+    /// Whether the distance from the source exceeds the tolerance, and is small enough that both are on one feature.
     fn is_far(&self) -> bool {
         self.is_kept && self.length > LEAST_ERROR && self.length <= FARTHEST
     }
@@ -139,8 +139,8 @@ pub(super) fn corner_normal(corner: Corner, patches: &[DVec3], crossings: &[Cros
     }
 }
 
-/// Moves vertices and divides edges of a mesh, vertices and faces, where they are far from the source. `normals` has
-/// the normals of the vertices. All places stay `within` a box.
+/// Moves vertices, and flips or divides edges of a mesh, vertices and faces, where they are far from the source.
+/// `normals` has the normals of the vertices. All places stay `within` a box.
 pub(super) fn refine(
     mesh: (&mut Vec<DVec3>, &mut Vec<[u32; 3]>),
     mut normals: Vec<DVec3>,
@@ -253,25 +253,30 @@ impl<'a> Refinement<'a> {
         self.faces.iter().for_each(|face| is_changed[face.face as usize] = true);
         let all = (0..self.corners.len() as u32).into_par_iter().with_min_len(CHUNK);
         let is_near =
-            |face: u32| self.cells(self.extent(&[self.corners[face as usize]])).any(|cell| cells.contains(&cell));
+            |face: u32| self.cells(self.extent(self.corners[face as usize])).any(|cell| cells.contains(&cell));
         all.filter(|&face| !is_changed[face as usize] && is_near(face)).collect()
     }
 
-    /// Takes back the largest change of each of some entries of `faces`.
+    /// Takes back the largest change of each of some entries of `faces`. An edge whose flip is taken back is divided.
     fn undo(&mut self, faces: &[u32]) {
-        for &i in faces {
-            let length = |&change: &u32| self.changes[change as usize].length;
-            let changes = self.faces[i as usize].changes.into_iter().flatten();
-            if let Some(change) = changes.max_by(|a, b| length(a).total_cmp(&length(b))) {
-                self.changes[change as usize].is_kept = false;
+        let length = |&change: &u32| self.changes[change as usize].length;
+        let largest = |&face: &u32| {
+            let changes = self.faces[face as usize].changes.into_iter().flatten();
+            changes.max_by(|a, b| length(a).total_cmp(&length(b)))
+        };
+        let undone: HashSet<u32> = faces.iter().filter_map(largest).collect();
+        for &i in &undone {
+            let change = &mut self.changes[i as usize];
+            match change.action {
+                Action::Flip(_) => change.action = Action::Divide,
+                Action::Move(_) | Action::Divide => change.is_kept = false,
             }
         }
-        if !faces.is_empty() {
-            for face in &mut self.faces {
-                for change in &mut face.changes {
-                    if change.is_some_and(|change| !self.changes[change as usize].is_kept) {
-                        (*change, face.is_new) = (None, true);
-                    }
+        for face in self.faces.iter_mut().filter(|_| !undone.is_empty()) {
+            for change in &mut face.changes {
+                if change.is_some_and(|change| undone.contains(&change)) {
+                    face.is_new = true;
+                    *change = change.filter(|&change| self.changes[change as usize].is_kept);
                 }
             }
         }
@@ -357,15 +362,17 @@ impl<'a> Refinement<'a> {
         (parts, divided + 1)
     }
 
-    /// The box of some triangles.
-    fn extent(&self, triangles: &[[u32; 3]]) -> [DVec3; 2] {
-        let places = triangles.as_flattened().iter().map(|&corner| self.place(corner));
+    /// The box of some corners.
+    fn extent(&self, corners: impl IntoIterator<Item = u32>) -> [DVec3; 2] {
+        let places = corners.into_iter().map(|corner| self.place(corner));
         places.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[lower, upper], p| [lower.min(p), upper.max(p)])
     }
 
+    /// The box of a face with its changes, whichever of them are taken back.
     fn extent_of_changed(&self, face: &ChangedFace) -> [DVec3; 2] {
-        let (parts, count) = self.parts(face);
-        self.extent(&parts[..count])
+        let (count, parts) = (self.vertices.len() as u32, self.parts(face).0);
+        let changes = face.changes.into_iter().flatten().map(|change| count + change);
+        self.extent(parts.into_iter().flatten().chain(self.corners[face.face as usize]).chain(changes))
     }
 
     fn cell(&self, place: DVec3) -> IVec3 {
@@ -388,7 +395,7 @@ impl<'a> Refinement<'a> {
         progress: &Progress,
     ) -> Result<Vec<u32>, Error> {
         let first = self.faces.len() as u32;
-        let item = |owner: u32, corners: [u32; 3]| Item { owner, corners, extent: self.extent(&[corners]) };
+        let item = |owner: u32, corners: [u32; 3]| Item { owner, corners, extent: self.extent(corners) };
         let changed = (0..first).into_par_iter().flat_map_iter(|i| {
             let (parts, count) = self.parts(&self.faces[i as usize]);
             parts.into_iter().take(count).map(move |corners| item(i, corners))
@@ -472,9 +479,9 @@ impl<'a> Refinement<'a> {
     }
 }
 
-/// The flips of edges, by the index of the edge in `edges`: the ends of the new edge. `edges` has the sides of each
-/// edge, and `found` the change of its middle; `measure` finds the changes of the middles of other edges. The mesh has
-/// no edge with these ends, and no face has two flips. Of two flips of a face the one that gains more is made.
+/// The edges to flip: the index in `edges`, and the ends of the new edge. `edges` has the sides of each edge, and
+/// `found` the change of its middle. `measure` computes the changes of the middles of other edges. A flip never creates
+/// an edge that exists already. Of several flips of one face, the one with the largest gain is made.
 fn flips(
     corners: &[[u32; 3]],
     edges: &[&[Side]],

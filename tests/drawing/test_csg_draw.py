@@ -118,7 +118,9 @@ def test_a_method_is_checked_and_followed_in_every_picture() -> None:
         with pytest.raises(fb.ShapeError, match=r"^method: must be one of .*, got 'nonsense'"):
             fb.raymarch(shape, size=size, method="nonsense", device="cpu", **options)
     for options in scene_only:
-        with pytest.raises(fb.ArgumentError, match=r'^method: "octree" draws one sample per pixel, .*; leave it out'):
+        with pytest.raises(
+            fb.ArgumentError, match=r'^method: "octree" needs samples=1 and directional lights, .*; leave it out'
+        ):
             fb.raymarch(shape, size=size, method="octree", device="cpu", **options)
     others = fb.Quadric.sphere(), [fb.Quadric.sphere()], fb.Scene([shape]), fb.bake(shape, 8), fb.models.gear()
     for other in others:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import fieldbake as fb
-from fieldbake.meshes.isosurface import with_thin_walls
+from fieldbake.meshes.isosurface import with_thin_features
 from manifold import faults
 
 
@@ -53,7 +53,8 @@ def test_the_surface_of_a_lattice_is_near_the_field(name, share):
     is_thick = np.all(within, axis=0)
     assert is_thick.mean() >= 0.8
     assert (away[is_thick] <= 0.1).mean() >= share
-    assert away.max() <= 0.5
+    # Sharp fins between two samples are cut off.
+    assert away.max() <= 0.6
 
 
 @pytest.mark.parametrize(("pitch", "lead_in", "resolution"), [(0.75, 0, 64), (0.75, 0, 100), (1.25, 0.6, 128)])
@@ -69,7 +70,7 @@ def test_vertices_of_a_fine_thread_are_near_its_surface(pitch, lead_in, resoluti
 def test_faces_without_an_area_have_no_walls():
     # The cross product of edges of 1e-170 is 0 in float64, and warnings are errors.
     mesh = fb.Mesh(np.concatenate([np.eye(3), 1e-170 * np.eye(3)]), np.arange(6).reshape(2, 3))
-    assert with_thin_walls(mesh, fb.sphere(3)._core, 0.1, 0) is mesh
+    assert with_thin_features(mesh, fb.sphere(3)._core, 0.1, 0) is mesh
 
 
 def test_walls_thinner_than_a_voxel_are_a_warning():

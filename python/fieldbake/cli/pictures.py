@@ -136,8 +136,7 @@ def csg(
     method: Annotated[
         Literal["auto", "whole", "aabb", "octree"],
         typer.Option(
-            help="Method of drawing. auto draws four samples per pixel. The others draw one sample, and their pictures "
-            "are equal."
+            help="Method of drawing. auto draws four samples per pixel, the others one. All draw the same surface."
         ),
     ] = "auto",
     direction: Annotated[

@@ -105,7 +105,7 @@ def raymarch(
         For shapes only: rays are traced through the whole shape or through the parts of
         :func:`fieldbake.csg.decompose`. ``"auto"`` chooses the method with the lowest estimated cost per ray. All
         methods give the same picture. Pictures with more than one sample per pixel, point lights, spot lights or
-        penumbrae have their own method and refuse the others.
+        penumbrae are drawn as scenes. They require ``"auto"``.
     device : str, default "auto"
         ``"auto"``, ``"cpu"``, ``"gpu"`` or a name from :func:`devices`.
     progress : bool or callable, optional
@@ -120,6 +120,8 @@ def raymarch(
     ------
     SceneError
         For an unusable camera, light, size or number of samples.
+    ShapeError
+        For an unknown method of a shape, or a shape that cannot be drawn.
     ArgumentError
         For any other option that is out of range or not applicable to the object.
     MeshError, CapacityError, DeviceError
@@ -298,8 +300,8 @@ def _draw_shape(shape: Shape, method: Method, options: _Options) -> Frame:
     if options.needs_scene:
         if method != "auto":
             raise ArgumentError(
-                f'method: "{method}" draws one sample per pixel, with directional lights without a size or with '
-                'shadows="hard"; leave it out for other pictures'
+                f'method: "{method}" needs samples=1 and directional lights, without a size if shadows are "soft" or '
+                '"area"; leave it out for other pictures'
             )
         return options.render([shape], camera, "raymarch", options.device)
     with progress_callback(options.progress, "raymarch") as callback:

@@ -208,10 +208,10 @@ def extract(
     return Mesh._extracted(vertices, faces, SurfaceReport(clamped_vertices=clamped, warnings=warnings))
 
 
-def with_thin_walls(mesh: Mesh, shape: _core.Shape, voxel: float, lost: int) -> Mesh:
+def with_thin_features(mesh: Mesh, shape: _core.Shape, voxel: float, lost: int) -> Mesh:
     """Warn if many walls or gaps of the mesh of a shape are thinner than a voxel, and add the warning to its report.
 
-    `lost` is the number of squares of a voxel that walls without a sample inside have.
+    `lost` is the area of walls without a sample inside, in squares of a voxel.
     """
     step = -(-len(mesh.faces) // WALL_FACES) or 1
     corners = mesh.vertices[mesh.faces[::step]]

@@ -19,7 +19,7 @@ from ..base.viewable import Viewable
 from ..files.container import check_target
 from ..meshes.convert import MeshLike
 from ..meshes.formats.export import mesh_kind
-from ..meshes.isosurface import ShapeSource, extract, with_thin_walls
+from ..meshes.isosurface import ShapeSource, extract, with_thin_features
 from ..meshes.mesh import Mesh
 from ..meshes.section import Section, Sectioned, field_sections, frames
 from .implicit_function import check_unused, save_function
@@ -180,7 +180,7 @@ class Field(Viewable, Sectioned):
                 surface, lost = _core.Surface.of_shape(self._core, grid.lower, grid.upper, grid.shape, 0.0)
             with part(0.4, 1.0):
                 mesh = extract(surface, 0.0, ShapeSource(self._core), sharp=sharp, capped=capped)
-        return with_thin_walls(mesh, self._core, max(grid.spacing), lost)
+        return with_thin_features(mesh, self._core, max(grid.spacing), lost)
 
     def section(
         self,

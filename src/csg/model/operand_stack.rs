@@ -1,7 +1,7 @@
 //! The stack of an evaluation in postfix order.
 
-/// Results that wait for their operator. No token comes before its operands ([`super::token::Token`]), so an operand
-/// that is missing is an error of this program.
+/// Results that wait for their operator, or a value for each warp that has begun. No token comes before its operands
+/// ([`super::token::Token`]), and no end of a warp before its start, so a missing entry is an error of this program.
 #[derive(Debug, Clone)]
 pub(crate) struct OperandStack<T>(Vec<T>);
 
@@ -11,8 +11,8 @@ impl<T> Default for OperandStack<T> {
     }
 }
 
-/// The message of the panic for a missing operand.
-const MISSING: &str = "the operands of a token come before it";
+/// The message of the panic for a missing entry.
+const MISSING: &str = "operands come before their token, and the start of a warp before its end";
 
 impl<T> OperandStack<T> {
     pub(crate) fn with_capacity(capacity: usize) -> Self {
@@ -37,7 +37,8 @@ impl<T> OperandStack<T> {
 
     /// Removes the last `count` results, in their order.
     pub(crate) fn pop_many(&mut self, count: usize) -> Vec<T> {
-        self.0.split_off(self.0.len() - count)
+        let first = self.0.len().checked_sub(count).expect(MISSING);
+        self.0.split_off(first)
     }
 
     /// Removes the result of all tokens; None without tokens.

@@ -358,12 +358,10 @@ impl<'a> ReadForm<'a> {
     /// The shapes under an operator with its joint; None if the form has another name.
     fn combined(&self, written: &str, name: &str) -> Result<Option<Shape>, ShapeError> {
         let n = self.numbers.as_slice();
+        let usage = || Err(self.start.error(format!("{written} takes union, inter, diff or xor, a width, and shapes")));
         let (joint, op) = match (name, self.words.as_slice()) {
             ("blend" | "chamfer", &[op]) => (name, op),
-            ("blend" | "chamfer", _) => {
-                let problem = format!("{written} takes union, inter, diff or xor, a width, and shapes");
-                return Err(self.start.error(problem));
-            }
+            ("blend" | "chamfer", _) => return usage(),
             (_, &[word, ..]) => return Err(self.start.error(format!("{written} does not take {}", quoted(word)))),
             (whole, &[]) => match whole.split_once('-') {
                 Some((joint @ ("blend" | "chamfer"), op)) => (joint, op),
@@ -381,11 +379,7 @@ impl<'a> ReadForm<'a> {
             self.expect_shapes(written, 1, usize::MAX)?;
             return Shape::combine(op, blend, self.shapes.clone()).map(Some);
         }
-        if joint != "sharp" {
-            return Err(self.start.error(format!("{written} takes union, inter, diff or xor, a width, and shapes")));
-        }
-
-        Ok(None)
+        if joint == "sharp" { Ok(None) } else { usage() }
     }
 
     fn expect_shapes(&self, name: &str, least: usize, most: usize) -> Result<(), ShapeError> {
