@@ -258,18 +258,18 @@ mod tests {
 
             let (origin, direction) = (DVec3::from(origin) + 1e6, DVec3::from(direction));
             prop_assume!(direction.length() > 0.1);
-            let mut seen = Vec::new();
-            tree.along_ray(origin, direction, [0.0, f64::INFINITY], |place, _| seen.push(tree.order[place] as usize));
+            let mut found = Vec::new();
+            tree.along_ray(origin, direction, [0.0, f64::INFINITY], |place, _| found.push(tree.order[place] as usize));
             for i in hits(&boxes, origin, direction) {
-                prop_assert!(seen.contains(&i));
+                prop_assert!(found.contains(&i));
             }
 
             let around = [origin, origin + 0.5];
-            let mut seen = Vec::new();
-            tree.around(around, limit, |place, _| seen.push(tree.order[place] as usize));
+            let mut found = Vec::new();
+            tree.around(around, limit, |place, _| found.push(tree.order[place] as usize));
             for (i, b) in boxes.iter().enumerate() {
                 let distance = (b[0] - around[1]).max(around[0] - b[1]).max(DVec3::ZERO).length();
-                prop_assert!(distance > limit || seen.contains(&i));
+                prop_assert!(distance > limit || found.contains(&i));
             }
         }
     }

@@ -32,11 +32,13 @@ impl<T> OperandStack<T> {
     /// Removes the last result.
     #[inline(always)]
     pub(crate) fn pop(&mut self) -> T {
+        // Tokens are in postfix order, so the operand was pushed before its operator.
         self.0.pop().expect(MISSING)
     }
 
     /// Removes the last `count` results, in their order.
     pub(crate) fn pop_many(&mut self, count: usize) -> Vec<T> {
+        // The tasks of the operands precede the task of their operator, and each pushes one result.
         let first = self.0.len().checked_sub(count).expect(MISSING);
         self.0.split_off(first)
     }
@@ -49,11 +51,13 @@ impl<T> OperandStack<T> {
 
     #[inline(always)]
     pub(crate) fn top(&self) -> &T {
+        // The position of the whole shape is pushed first, and each warp removes only its own.
         self.0.last().expect(MISSING)
     }
 
     #[inline(always)]
     pub(crate) fn top_mut(&mut self) -> &mut T {
+        // Tokens are in postfix order, so the operand was pushed before its operator.
         self.0.last_mut().expect(MISSING)
     }
 

@@ -235,12 +235,12 @@ mod tests {
             let direction = direction.normalize();
             let boxes: Vec<Aabb> = corners.iter().map(|&(p, size)| Aabb { min: p, max: p + 0.2 * size.abs() }).collect();
             let tree = Tree::new(&boxes);
-            let mut seen = vec![false; boxes.len()];
+            let mut is_found = vec![false; boxes.len()];
             tree.walk(&Line::cone(origin, direction, slope).with_start_radius(start), 10.0, |item, limit| {
-                seen[item as usize] = true;
+                is_found[item as usize] = true;
                 limit
             });
-            for (bounds, seen) in boxes.iter().zip(seen) {
+            for (bounds, is_found) in boxes.iter().zip(is_found) {
                 // Brute force: points along the axis compared with the box.
                 let is_hit = (0..2000).any(|i| {
                     let t = i as f32 * 0.005;
@@ -248,7 +248,7 @@ mod tests {
                     let nearest = p.clamp(bounds.min, bounds.max);
                     nearest.distance(p) <= start + slope * t
                 });
-                prop_assert!(seen || !is_hit);
+                prop_assert!(is_found || !is_hit);
             }
         }
     }
