@@ -272,7 +272,7 @@ impl<'a> Refinement<'a> {
                 Action::Move(_) | Action::Divide => change.is_kept = false,
             }
         }
-        for face in self.faces.iter_mut().filter(|_| !undone.is_empty()) {
+        for face in &mut self.faces {
             for change in &mut face.changes {
                 if change.is_some_and(|change| undone.contains(&change)) {
                     face.is_new = true;
