@@ -65,9 +65,9 @@ const MOST_GRIDS: usize = 4;
 pub struct ShapeSurface {
     /// The surface between samples of both signs.
     pub surface: LevelSurface,
-    /// Number of parallel edges of the grid that cross a wall without a sample inside: the walls that the surface lacks
-    /// have this many squares of a voxel, seen along the edges.
-    pub lost: usize,
+    /// Number of parallel edges of the grid that cross a wall without a sample inside, or a gap without a sample
+    /// outside: the walls and gaps that the surface lacks have this many squares of a voxel, seen along the edges.
+    pub missed: usize,
 }
 
 /// The level set of a shape on a grid. A joint is a place inside the solid where parts that touch have the value of the
@@ -125,12 +125,7 @@ fn level_surface_and_joints(
         origins = children.filter(|origin| origin.cmplt(shape).all()).collect();
     }
     let origins: Vec<[i32; 3]> = origins.into_iter().map(IVec3::into).collect();
-    let [suspects, crossed]: [Mutex<Vec<(DVec3, usize)>>; 2] = Default::default();
-    let add = |list: &Mutex<Vec<_>>, found: Vec<(DVec3, usize)>| {
-        if !found.is_empty() {
-            list.lock().unwrap_or_else(PoisonError::into_inner).extend(found);
-        }
-    };
+    let (suspects, crossed) = (Mutex::default(), Mutex::default());
     let fill = |stack: &mut Stack<f64, LANES>, origin: [i32; 3], samples: &mut [f32]| {
         solid.samples_of_block(grid, SIDE, origin, stack, samples);
         // As in the block, a place outside the grid is moved to the nearest sample of the grid.
@@ -138,33 +133,61 @@ fn level_surface_and_joints(
         let nearest = |index: DVec3| (IVec3::from(origin).as_dvec3() + index).clamp(DVec3::ZERO, most);
         let place = |(index, axis)| (grid.lower + (nearest(index) + 0.5) * grid.spacing(), axis);
         let joints = suspected_joints(samples, level, (ON_JOINT * grid.spacing().min_element()) as f32);
-        add(&suspects, joints.into_iter().map(place).collect());
-        let walls = edges_across_walls(samples, level, solid.model.lipschitz, grid.spacing());
-        add(&crossed, walls.into_iter().map(place).collect());
+        append(&suspects, joints.into_iter().map(place).collect());
+        for side in [Side::Inside, Side::Outside] {
+            let edges = edges_across(side, samples, level, solid.model.lipschitz, grid.spacing());
+            append(&crossed, edges.into_iter().map(place).map(|(place, axis)| (place, axis, side)).collect());
+        }
     };
     blocks.add_evaluated(SIDE, &origins, Stack::default, fill, progress)?;
-    let [suspects, crossed] =
-        [suspects, crossed].map(|found| found.into_inner().unwrap_or_else(PoisonError::into_inner));
-    let lost = count_lost(solid, level, &crossed, progress)?;
+    let crossed: Vec<_> = crossed.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let suspects: Vec<_> = suspects.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let missed = count_missed(solid, grid, level, &crossed, progress)?;
     let across = axes_across_joints(solid, grid, level, &suspects, progress)?;
-    Ok((ShapeSurface { surface: blocks.surface(), lost }, across))
+    Ok((ShapeSurface { surface: blocks.surface(), missed }, across))
 }
 
-/// The edges of a block on which the field of a wall between two samples may fall below the level: the values rise
-/// along the axis on both sides, and no sample within a voxel is inside. Each has the place, in voxels from the first
-/// sample, where a field with equal slopes on both sides is least.
-fn edges_across_walls(samples: &[f32], level: f32, lipschitz: f64, spacing: DVec3) -> Vec<(DVec3, usize)> {
+/// Appends to a list that threads share.
+fn append<T>(list: &Mutex<Vec<T>>, found: Vec<T>) {
+    if !found.is_empty() {
+        list.lock().unwrap_or_else(PoisonError::into_inner).extend(found);
+    }
+}
+
+/// The two sides of a surface. A layer inside is a wall, a layer outside is a gap.
+#[derive(Clone, Copy)]
+enum Side {
+    Inside,
+    Outside,
+}
+
+impl Side {
+    /// The factor of a difference from the level that makes it negative on this side.
+    fn sign(self) -> f32 {
+        match self {
+            Self::Inside => 1.0,
+            Self::Outside => -1.0,
+        }
+    }
+}
+
+/// The edges of a block that may cross a thin layer on one side of the surface, a wall or a gap, without a sample in it:
+/// both ends are on the other side as all samples within a voxel of them, and the distance from the level increases
+/// along the axis beyond both ends. Each edge has the place, in voxels from the first sample, where a field with equal
+/// slopes on both sides is nearest to the layer.
+fn edges_across(side: Side, samples: &[f32], level: f32, lipschitz: f64, spacing: DVec3) -> Vec<(DVec3, usize)> {
     let n = SIDE as i32 + 1;
-    let value = |index: IVec3| samples[(index.x + n * (index.y + n * index.z)) as usize] - level;
-    let is_outside = |index: IVec3| {
+    let signed = |value: f32| side.sign() * (value - level);
+    let value = |index: IVec3| signed(samples[(index.x + n * (index.y + n * index.z)) as usize]);
+    let is_beyond = |index: IVec3| {
         let [low, high] = [(index - 1).max(IVec3::ZERO), (index + 1).min(IVec3::splat(n - 1))];
         let mut rows = (low.z..=high.z).flat_map(|z| (low.y..=high.y).map(move |y| (y, z)));
         rows.all(|(y, z)| (low.x..=high.x).all(|x| value(IVec3::new(x, y, z)) >= 0.0))
     };
     let most = (spacing * lipschitz).as_vec3();
-    let near = level..level + most.max_element();
+    let near = 0.0..most.max_element();
     let mut found = Vec::new();
-    for (i, _) in samples.iter().enumerate().filter(|(_, value)| near.contains(value)) {
+    for (i, _) in samples.iter().enumerate().filter(|(_, value)| near.contains(&signed(**value))) {
         let i = i as i32;
         let start = IVec3::new(i % n, i / n % n, i / (n * n));
         // The last samples along each axis are the first ones of the next block.
@@ -177,7 +200,7 @@ fn edges_across_walls(samples: &[f32], level: f32, lipschitz: f64, spacing: DVec
             // Each block has one sample of its neighbours, so the outer neighbours of some edges are not known.
             let rises = |from: f32, outer: IVec3| outer[axis] < 0 || outer[axis] == n || value(outer) > from;
             let is_least = b >= 0.0 && a + b < most[axis] && rises(a, start - step) && rises(b, end + step);
-            if is_least && is_outside(start) && is_outside(end) {
+            if is_least && is_beyond(start) && is_beyond(end) {
                 let share = f64::from(a) / f64::from(a + b).max(f64::MIN_POSITIVE);
                 found.push((start.as_dvec3() + share * step.as_dvec3(), axis));
             }
@@ -186,12 +209,20 @@ fn edges_across_walls(samples: &[f32], level: f32, lipschitz: f64, spacing: DVec
     found
 }
 
-/// Number of edges along the axis with the most of them whose place is inside.
-fn count_lost(solid: &Solid, level: f32, crossed: &[(DVec3, usize)], progress: &Progress) -> Result<usize, Error> {
-    let places: Vec<DVec3> = crossed.iter().map(|&(place, _)| place).collect();
+/// Number of edges along the axis with the most of them whose place is in a layer on their side. A layer is deeper than
+/// a joint.
+fn count_missed(
+    solid: &Solid,
+    grid: &Grid,
+    level: f32,
+    crossed: &[(DVec3, usize, Side)],
+    progress: &Progress,
+) -> Result<usize, Error> {
+    let places: Vec<DVec3> = crossed.iter().map(|&(place, ..)| place).collect();
+    let depth = (ON_JOINT * grid.spacing().min_element()) as f32;
     let mut counts = [0; 3];
-    for (&(_, axis), value) in crossed.iter().zip(solid.distances(&places, progress)?) {
-        counts[axis] += usize::from(value < level);
+    for (&(_, axis, side), value) in crossed.iter().zip(solid.distances(&places, progress)?) {
+        counts[axis] += usize::from(side.sign() * (value - level) < -depth);
     }
     Ok(counts.into_iter().max().unwrap_or(0))
 }
@@ -491,15 +522,18 @@ mod tests {
     }
 
     #[test]
-    fn walls_without_a_sample_are_counted() {
+    fn walls_and_gaps_without_a_sample_are_counted() {
         let count = |text: &str| {
             let (solid, grid) = turned(text);
-            level_surface(&solid, &grid, 0.0, &Progress::new()).unwrap().lost
+            level_surface(&solid, &grid, 0.0, &Progress::new()).unwrap().missed
         };
         // The normal of the plate has the component 0.92 along z, so 64 squares of a voxel are 59 seen along z, and 60
         // edges of this grid cross it. 2 of them have a sample inside, each of which excludes up to 9 edges.
         let plate = count("(box 2 2 0.01)");
         assert!((60 - 2 * 9..=60).contains(&plate), "{plate}");
+        // The same plate as a gap in a ball with a radius of 1.8.
+        let gap = count("(diff (sphere 3.6) (box 2 2 0.01))");
+        assert!((60 - 2 * 9..=60).contains(&gap), "{gap}");
         assert_eq!([count("(box 2 2 2)"), count("(sphere 1.5)"), count("(torus 1.2 0.4)")], [0; 3]);
     }
 

@@ -92,15 +92,15 @@ impl Surface {
         level: f32,
     ) -> PyResult<(Self, usize)> {
         let (solid, grid) = (shape.solid(py)?, grid(lower, upper, voxels)?);
-        let (surface, lost) = run_owned(py, move |progress| {
-            let ShapeSurface { mut surface, lost } = level_surface(&solid, &grid, level, progress)?;
+        let (surface, missed) = run_owned(py, move |progress| {
+            let ShapeSurface { mut surface, missed } = level_surface(&solid, &grid, level, progress)?;
             // The box of the solid bounds the level zero and all levels below it.
             if let (true, Ok(bounds)) = (level <= 0.0, solid.bounds()) {
                 surface.keep_within(bounds);
             }
-            Ok((surface, lost))
+            Ok((surface, missed))
         })?;
-        Ok((Self::new(py, surface)?, lost))
+        Ok((Self::new(py, surface)?, missed))
     }
 
     /// Uses the crossings and the tangent planes of the level set of a shape. Joins the planes around all vertices too

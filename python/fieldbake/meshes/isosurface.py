@@ -208,10 +208,10 @@ def extract(
     return Mesh._extracted(vertices, faces, SurfaceReport(clamped_vertices=clamped, warnings=warnings))
 
 
-def with_thin_features(mesh: Mesh, shape: _core.Shape, voxel: float, lost: int) -> Mesh:
+def with_thin_features(mesh: Mesh, shape: _core.Shape, voxel: float, missed: int) -> Mesh:
     """Warn if many walls or gaps of the mesh of a shape are thinner than a voxel, and add the warning to its report.
 
-    `lost` is the area of walls without a sample inside, in squares of a voxel.
+    `missed` is the area of walls without a sample inside and of gaps without one outside, in squares of a voxel.
     """
     step = -(-len(mesh.faces) // WALL_FACES) or 1
     corners = mesh.vertices[mesh.faces[::step]]
@@ -222,7 +222,7 @@ def with_thin_features(mesh: Mesh, shape: _core.Shape, voxel: float, lost: int) 
     centers, outward = corners.mean(axis=1), voxel * normals / areas[:, None]
     is_thin = (shape.distance(centers - outward, "cpu") > 0) | (shape.distance(centers + outward, "cpu") < 0)
     # Each entry of `areas` is twice the area of a face, and a wall has two sides.
-    missing = 4 * lost * voxel**2 / step
+    missing = 4 * missed * voxel**2 / step
     thin = missing + float(areas[is_thin].sum())
     share = thin / max(missing + float(areas.sum()), np.finfo(float).tiny)
     if share > THIN_SHARE:

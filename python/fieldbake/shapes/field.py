@@ -177,10 +177,10 @@ class Field(Viewable, Sectioned):
         check_count(grid)
         with watched(progress, "mesh"):
             with part(0.0, 0.4):
-                surface, lost = _core.Surface.of_shape(self._core, grid.lower, grid.upper, grid.shape, 0.0)
+                surface, missed = _core.Surface.of_shape(self._core, grid.lower, grid.upper, grid.shape, 0.0)
             with part(0.4, 1.0):
                 mesh = extract(surface, 0.0, ShapeSource(self._core), sharp=sharp, capped=capped)
-        return with_thin_features(mesh, self._core, max(grid.spacing), lost)
+        return with_thin_features(mesh, self._core, max(grid.spacing), missed)
 
     def section(
         self,
