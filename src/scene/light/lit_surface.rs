@@ -130,9 +130,9 @@ pub(crate) struct LightSampleMut<'a> {
 pub(crate) struct LitSurface<'a> {
     pub layer: &'a Layer,
     pub place: SurfacePoint,
-    pub to_eye: Vec3,
-    /// Rotation of the samples of area lights, radians.
-    pub turn: f32,
+    /// World direction of the ray from the eye, of any length.
+    direction: DVec3,
+    y: usize,
 }
 
 impl<'a> LitSurface<'a> {
@@ -153,8 +153,17 @@ impl<'a> LitSurface<'a> {
             let off_field = BIAS_TRIANGLE / BIAS_FIELD * bias(own, &place) * place.normal;
             place.lift = (own.tree_from_scene.matrix3 * off_field.as_dvec3()).as_vec3();
         }
-        let to_eye = -direction.normalize().as_vec3();
-        Self { layer, place, to_eye, turn: pixel_turn(layer.x as usize, y) }
+        Self { layer, place, direction, y }
+    }
+
+    /// Unit direction to the eye.
+    pub(crate) fn to_eye(&self) -> Vec3 {
+        -self.direction.normalize().as_vec3()
+    }
+
+    /// Rotation of the samples of area lights, radians.
+    fn turn(&self) -> f32 {
+        pixel_turn(self.layer.x as usize, self.y)
     }
 
     /// Cosine between the normal and a ray.
@@ -251,7 +260,7 @@ impl<'a> LitSurface<'a> {
             SceneShadows::None => 1.0,
             SceneShadows::Hard => traced.ray_share(place, ray, work),
             SceneShadows::Soft => traced.disc_share(place, ray, slope, work),
-            SceneShadows::Area(count) => traced.area_share(place, ray, slope, count, self.turn, work),
+            SceneShadows::Area(count) => traced.area_share(place, ray, slope, count, self.turn(), work),
         }
     }
 
@@ -260,8 +269,8 @@ impl<'a> LitSurface<'a> {
     pub(crate) fn paths(&self, ray: &LightRay, slope: f32, shadows: SceneShadows) -> Vec<(LightRay, f32)> {
         match shadows {
             SceneShadows::Area(count) if slope > 0.0 => {
-                let axes = basis(ray.direction);
-                (0..count).map(|i| (toward(ray, axes, slope, disc_point(i, count, self.turn)), 0.0)).collect()
+                let (axes, turn) = (basis(ray.direction), self.turn());
+                (0..count).map(|i| (toward(ray, axes, slope, disc_point(i, count, turn)), 0.0)).collect()
             }
             _ => vec![(*ray, slope)],
         }

@@ -20,14 +20,17 @@
 //!
 //! # Practice
 //!
-//! Triangles are traced on the CPU for pictures of every device, so their shadows do not depend on it.
+//! Triangles are traced on the CPU for pictures of every device, so their shadows do not depend on it. Rays of
+//! neighbouring surfaces, and the rays of one surface to an area light, are searched in packets past each opaque mesh.
 
 use super::far_field::Split;
 use super::light_rays::{LightRay, LightWork, SurfacePoint};
+use super::occluder::NearList;
 use super::shadow::TracedScene;
 use crate::bvh::rays::watertight;
 use crate::scene::content::instance::Instance;
 use crate::scene::content::model::Scene;
+use crate::scene::content::tree::Line;
 use crate::scene::content::triangles::Triangles;
 use crate::scene::visibility::appearance::FaceAppearance;
 use rayon::prelude::*;
@@ -47,10 +50,73 @@ const MOST_LIFTS: f64 = 64.0;
 /// Difference of depths within which two crossings count as one, in scene units and relative.
 const SAME_DEPTH: f64 = 1e-9;
 
+/// Largest number of rays that are passed to a mesh together.
+const MOST_RAYS: usize = 64;
+
 /// Number of translucent crossings of one mesh that are compared by depth.
 const CROSSINGS: usize = 16;
 
+/// A thin ray of light from a surface, and the fraction of it that passes.
+pub(crate) struct PlacedRay<'a> {
+    place: &'a SurfacePoint,
+    ray: LightRay,
+    line: Line,
+    pub share: f32,
+    pub work: LightWork,
+}
+
+impl<'a> PlacedRay<'a> {
+    /// A ray that nothing has blocked yet.
+    pub(crate) fn new(place: &'a SurfacePoint, ray: LightRay) -> Self {
+        let line = Line::new(place.p.as_vec3(), ray.direction.as_vec3());
+        Self { place, ray, line, share: 1.0, work: LightWork { rays: 1, ..LightWork::default() } }
+    }
+}
+
 impl TracedScene<'_> {
+    /// Finds the fractions of rays near each other that pass some instances, in a scene without a far field. All rays
+    /// start on one instance. The fractions are those of [`TracedScene::ray_share`], bit for bit.
+    pub(crate) fn pass_rays(&self, near: &NearList, rays: &mut [PlacedRay<'_>]) {
+        let mut tested = Vec::with_capacity(rays.len());
+        for item in near.for_ray() {
+            let bounds = &self.scene.boxes[item as usize];
+            let may_hit = |ray: &PlacedRay<'_>| ray.share > 0.0 && ray.line.touches(bounds, ray.ray.t_max as f32);
+            tested.clear();
+            tested.extend((0..rays.len()).filter(|&i| may_hit(&rays[i])));
+            self.pass_instance(item, rays, &tested);
+            if tested.iter().any(|&i| rays[i].share <= 0.0) {
+                near.set_last(item);
+            }
+        }
+    }
+
+    /// Multiplies the fractions of the `tested` rays by the fractions that pass an instance.
+    fn pass_instance(&self, item: u32, rays: &mut [PlacedRay<'_>], tested: &[usize]) {
+        let instance = &self.scene.instances[item as usize];
+        let Some((triangles, shade)) = instance.casting_triangles().zip(instance.face_shade) else {
+            for &i in tested {
+                let PlacedRay { place, ray, share, work, .. } = &mut rays[i];
+                *share *= self.past_instance(item, place, ray, &Split::near(ray.t_max), work);
+            }
+            return;
+        };
+        if tested.first().is_none_or(|&i| is_skipped(item, triangles, rays[i].place)) {
+            return;
+        }
+        let mut is_blocked = [false; MOST_RAYS];
+        for tested in tested.chunks(MOST_RAYS) {
+            let in_tree = tested.iter().map(|&i| {
+                let PlacedRay { place, ray, .. } = &rays[i];
+                self.scene.ray_in_tree(item, place, ray, [0.0, ray.t_max])
+            });
+            triangles.mesh.are_occluded(in_tree, true, |k, found| is_blocked[k] = found);
+            for (&i, is_blocked) in tested.iter().zip(is_blocked) {
+                rays[i].work.steps += 1;
+                rays[i].share *= if is_blocked { 1.0 - shade } else { 1.0 };
+            }
+        }
+    }
+
     /// Fraction of a thin ray that the triangles of an instance let pass.
     pub(crate) fn past_faces(
         &self,

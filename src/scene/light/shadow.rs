@@ -42,6 +42,7 @@
 use super::cone::{AO_TANGENT, Cone, ConeShare, ConeSum, ConeWalk, Decision, RayPast, WideCone};
 use super::far_field::{Far, FarLevel, Split};
 use super::light_rays::{LightCone, LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
+use super::mesh_rays::PlacedRay;
 use super::occluder::{NearList, Occluder, ray_in_field};
 use crate::gpu::constants::scene_beams::END_FADE;
 use crate::scene::content::model::Scene;
@@ -298,12 +299,15 @@ impl<'a> TracedScene<'a> {
             return self.ray_share(place, ray, work);
         }
         let axes = basis(ray.direction);
-        let mut sum = 0.0;
-        for i in 0..count {
-            let ray = toward(ray, axes, slope, disc_point(i, count, turn));
-            sum += if place.is_above_horizon(&ray) { self.ray_share(place, &ray, work) } else { 0.0 };
-        }
-        sum / count as f32
+        let rays = (0..count).map(|i| toward(ray, axes, slope, disc_point(i, count, turn)));
+        let rays = rays.filter(|ray| place.is_above_horizon(ray));
+        let Some(near) = self.near.filter(|_| self.far.is_none()) else {
+            return rays.map(|ray| self.ray_share(place, &ray, work)).sum::<f32>() / count as f32;
+        };
+        let mut rays: Vec<PlacedRay<'_>> = rays.map(|ray| PlacedRay::new(place, ray)).collect();
+        self.pass_rays(near, &mut rays);
+        rays.iter().for_each(|ray| *work += ray.work);
+        rays.iter().map(|ray| ray.share).sum::<f32>() / count as f32
     }
 
     /// Fraction of a thin ray, and whether it entered the far field.
@@ -311,13 +315,13 @@ impl<'a> TracedScene<'a> {
         let split = self.split(place, ray, 0.0);
         let mut share = 1.0;
         self.walk(LightCone { place, ray, slope: 0.0 }, &split, |item, limit| {
-            let instance = &self.scene.instances[item as usize];
-            let passes = match instance.casting_triangles() {
-                Some(_) if blocking == Blocking::Fields => 1.0,
-                Some(triangles) => self.past_faces(item, triangles, place, ray, &split, work),
-                None if blocking == Blocking::Faces => 1.0,
-                None => self.past_field(item, place, ray, &split, work),
+            let has_faces = self.scene.instances[item as usize].casting_triangles().is_some();
+            let is_tested = match blocking {
+                Blocking::All => true,
+                Blocking::Faces => has_faces,
+                Blocking::Fields => !has_faces,
             };
+            let passes = if is_tested { self.past_instance(item, place, ray, &split, work) } else { 1.0 };
             share *= passes;
             if let Some(near) = self.near.filter(|_| passes <= 0.0) {
                 near.set_last(item);
@@ -329,6 +333,21 @@ impl<'a> TracedScene<'a> {
             share = 0.0;
         }
         (share, is_far)
+    }
+
+    /// Fraction of a thin ray that passes an instance: its triangles, or its field if it has none.
+    pub(crate) fn past_instance(
+        &self,
+        item: u32,
+        place: &SurfacePoint,
+        ray: &LightRay,
+        split: &Split,
+        work: &mut LightWork,
+    ) -> f32 {
+        match self.scene.instances[item as usize].casting_triangles() {
+            Some(triangles) => self.past_faces(item, triangles, place, ray, split, work),
+            None => self.past_field(item, place, ray, split, work),
+        }
     }
 
     /// Fraction of a thin ray that passes the field of an instance.

@@ -144,7 +144,7 @@ impl LitSurface<'_> {
         let mut color = self.layer.emission + ambient * albedo;
         let point = LitPoint {
             normal: self.layer.normal,
-            to_eye: self.to_eye,
+            to_eye: self.to_eye(),
             color: albedo,
             specular: material.specular,
             shininess: material.shininess,

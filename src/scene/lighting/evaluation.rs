@@ -17,7 +17,7 @@ use super::pass::Pass;
 use super::tile::{TILE, Tiles};
 use super::upsampling::{gather, least_level};
 use crate::error::Error;
-use crate::scene::content::options::RenderOptions;
+use crate::scene::content::options::{RenderOptions, SceneShadows};
 use crate::scene::light::bounces::{Bounces, Paths};
 use crate::scene::light::light_rays::LightWork;
 use crate::scene::light::lit_surface::{Lights, LitSurface};
@@ -175,10 +175,13 @@ fn evaluate(
         let lines = || first..first + TILE;
         if is_shared {
             for (y, row) in lines().zip(&*rows) {
-                let layers = pass.buffer.rows[y].iter().zip(&row.is_evaluated);
+                let layers = pass.buffer.rows[y].iter().zip(&row.is_evaluated).enumerate();
                 layers
-                    .filter(|(layer, evaluated)| !**evaluated && is_requested(layer.x, y as u32))
-                    .for_each(|(layer, _)| tiles.add(layer));
+                    .filter(|(_, (layer, evaluated))| !**evaluated && is_requested(layer.x, y as u32))
+                    .for_each(|(i, (layer, _))| tiles.add([y - first, i], layer));
+            }
+            if pass.options.shadows == SceneShadows::Hard && pass.options.occlusion.is_none() {
+                tiles.evaluate_hard(rows, [lights, stride]);
             }
         }
         for (y, row) in lines().zip(rows) {

@@ -5,7 +5,8 @@
 //! lies within `r + s t` of the axis from the centre. Axes to a point light come together, and those to a directional
 //! light are parallel. Each tile is searched once with this truncated cone. An instance is left out if its box stays
 //! out of the truncated cone, or if its distances along the axis prove that its surface does. The surfaces of the tile
-//! test the remaining instances only. A ray first tests the instance that blocked the last ray of the tile.
+//! test the remaining instances only. A ray first tests the instance that blocked the last ray of the tile. The rays of
+//! hard shadows are nearly parallel, so all rays of a tile test an instance together.
 
 use super::pass::Pass;
 use crate::geometry::clip;
@@ -14,9 +15,11 @@ use crate::scene::content::model::Scene;
 use crate::scene::content::options::SceneShadows;
 use crate::scene::content::tree::Line;
 use crate::scene::light::cone::ConeWalk;
-use crate::scene::light::light_rays::LightRay;
-use crate::scene::light::lit_surface::SceneLight;
+use crate::scene::light::light_rays::{LightRay, LightWork};
+use crate::scene::light::lit_surface::{LitSurface, SceneLight};
+use crate::scene::light::mesh_rays::PlacedRay;
 use crate::scene::light::occluder::NearList;
+use crate::scene::lighting::light_buffer::{LightRow, parts_of};
 use crate::scene::visibility::gbuffer::Layer;
 use glam::DVec3;
 use rustc_hash::FxHashMap;
@@ -25,24 +28,30 @@ use rustc_hash::FxHashMap;
 pub(crate) const TILE: usize = 8;
 
 /// Smallest number of evaluated surfaces in a tile for which a list is made.
-const LEAST_PIXELS: u32 = 8;
+const LEAST_PIXELS: usize = 8;
 
 /// Margin for the rounding of the radius, scene units.
 const ROUNDING: f64 = 1e-6;
 
-/// The tiles of [`TILE`] rows of a picture, by column and instance.
+/// The tiles of [`TILE`] rows of a picture.
 pub(crate) struct Tiles<'a> {
     pass: &'a Pass<'a>,
     rows: [u32; 2],
-    tiles: FxHashMap<(u32, u32), Tile>,
+    tiles: Vec<Tile>,
+    /// The place of each tile in the list.
+    by_key: FxHashMap<(u32, u32), usize>,
+    /// The tile of the last surface, which is most often the tile of the next one.
+    last: Option<usize>,
 }
 
 /// The surfaces of one instance in a tile.
 struct Tile {
+    /// Column of the tile, and the instance.
+    key: (u32, u32),
     /// Range of depths, world units.
     depth: [f64; 2],
-    /// Number of surfaces whose light must be evaluated.
-    count: u32,
+    /// The surfaces whose light must be evaluated: the row, counted from the first one, and the index in the row.
+    surfaces: Vec<[usize; 2]>,
     /// For each light the instances that may block it; empty until a surface needs them.
     occluders: Vec<NearList>,
 }
@@ -50,7 +59,7 @@ struct Tile {
 impl<'a> Tiles<'a> {
     /// Tiles for the rows `rows[0]` to `rows[1]`, inclusive.
     pub(crate) fn new(pass: &'a Pass<'a>, rows: [u32; 2]) -> Self {
-        Self { pass, rows, tiles: FxHashMap::default() }
+        Self { pass, rows, tiles: Vec::new(), by_key: FxHashMap::default(), last: None }
     }
 
     /// Whether the light of a pass is evaluated by rays and cones to lights, which may share occluders.
@@ -59,27 +68,77 @@ impl<'a> Tiles<'a> {
         pass.bounces.is_none() && pass.traced.far.is_none() && has_rays && !pass.lights.lights.is_empty()
     }
 
-    /// Adds a surface whose light must be evaluated.
-    pub(crate) fn add(&mut self, layer: &Layer) {
-        let tile = self.tiles.entry(key(layer)).or_insert(Tile {
-            depth: [f64::INFINITY, f64::NEG_INFINITY],
-            count: 0,
-            occluders: Vec::new(),
+    /// Adds a surface whose light must be evaluated: its row, counted from the first one, and its index in the row.
+    pub(crate) fn add(&mut self, surface: [usize; 2], layer: &Layer) {
+        let (key, tiles) = (key(layer), &mut self.tiles);
+        let last = self.last.filter(|&last| tiles[last].key == key);
+        let place = last.unwrap_or_else(|| {
+            *self.by_key.entry(key).or_insert_with(|| {
+                let surfaces = Vec::with_capacity(TILE * TILE);
+                tiles.push(Tile { key, depth: [f64::INFINITY, f64::NEG_INFINITY], surfaces, occluders: Vec::new() });
+                tiles.len() - 1
+            })
         });
+        self.last = Some(place);
+        let tile = &mut self.tiles[place];
         tile.depth = [tile.depth[0].min(layer.depth), tile.depth[1].max(layer.depth)];
-        tile.count += 1;
+        tile.surfaces.push(surface);
+    }
+
+    /// Evaluates hard shadows on the surfaces of tiles with lists of occluders. Surfaces that scatter light are left
+    /// out. `lights` is the number of lights, and `stride` the number of values of a surface.
+    pub(crate) fn evaluate_hard(&self, light: &mut [LightRow], [lights, stride]: [usize; 2]) {
+        let Self { pass, rows, tiles, .. } = self;
+        let scene = pass.traced.scene;
+        let mut total = LightWork::default();
+        for tile in tiles.iter().filter(|tile| tile.surfaces.len() >= LEAST_PIXELS) {
+            let near = tile.find_occluders(pass, *rows);
+            let lit = tile.surfaces.iter().map(|&[row, i]| {
+                let y = rows[0] as usize + row;
+                ([row, i], LitSurface::new(scene, pass.buffer, y, &pass.buffer.rows[y][i]))
+            });
+            let lit: Vec<_> = lit.filter(|(_, surface)| !surface.scatters(scene)).collect();
+            for &([row, i], _) in &lit {
+                *parts_of(&mut light[row].values[i * stride..][..stride], lights).open = 1.0;
+                light[row].is_evaluated[i] = true;
+            }
+            let (mut surfaces, mut traced) = (Vec::with_capacity(lit.len()), Vec::with_capacity(lit.len()));
+            for (number, source) in pass.lights.lights.iter().enumerate() {
+                for (surface, LitSurface { place, .. }) in &lit {
+                    let ray = source.seen_from(place.p).0;
+                    if place.is_above_horizon(&ray) {
+                        surfaces.push(surface);
+                        traced.push(PlacedRay::new(place, ray));
+                    }
+                }
+                pass.traced.pass_rays(&near[number], &mut traced);
+                for (&[row, i], ray) in surfaces.drain(..).zip(traced.drain(..)) {
+                    parts_of(&mut light[row].values[i * stride..][..stride], lights).shares[number] = ray.share;
+                    light[row].work[i] += ray.work;
+                    total += ray.work;
+                }
+            }
+        }
+        pass.counters.add(total);
     }
 
     /// For each light the instances that may block it from a surface; `None` if a list is not worth its cost.
     pub(crate) fn occluders(&mut self, layer: &Layer) -> Option<&[NearList]> {
-        let Self { pass, rows, tiles } = self;
-        let tile = tiles.get_mut(&key(layer)).filter(|tile| tile.count >= LEAST_PIXELS)?;
+        let place = *self.by_key.get(&key(layer))?;
+        let tile = Some(&mut self.tiles[place]).filter(|tile| tile.surfaces.len() >= LEAST_PIXELS)?;
         if tile.occluders.is_empty() {
-            let (center, radius) = ball_of(pass, *rows, key(layer).0, tile.depth);
-            let lights = pass.lights.lights.iter();
-            tile.occluders = lights.map(|light| occluders_of(pass, center, radius, layer.instance, light)).collect();
+            tile.occluders = tile.find_occluders(self.pass, self.rows);
         }
         Some(&tile.occluders)
+    }
+}
+
+impl Tile {
+    /// For each light the instances that may block it.
+    fn find_occluders(&self, pass: &Pass<'_>, rows: [u32; 2]) -> Vec<NearList> {
+        let (column, instance) = self.key;
+        let (center, radius) = ball_of(pass, rows, column, self.depth);
+        pass.lights.lights.iter().map(|light| occluders_of(pass, center, radius, instance, light)).collect()
     }
 }
 

@@ -33,7 +33,8 @@ pub(crate) fn draw_row<'a>(
     y: u32,
     mut trace: impl FnMut(&mut PixelRay<'a>, &mut Vec<Layer>),
 ) -> (Vec<Layer>, Vec<u32>) {
-    let (mut layers, mut steps) = (Vec::new(), Vec::new());
+    let width = view.size[0] as usize;
+    let (mut layers, mut steps) = (Vec::with_capacity(width), Vec::with_capacity(width));
     for x in 0..view.size[0] {
         let mut ray = PixelRay { scene, options, view, x, y, searched: None, skips_opaque: false, steps: 0 };
         trace(&mut ray, &mut layers);
