@@ -171,9 +171,9 @@ impl Side {
     }
 }
 
-/// The edges of a block that may cross a thin layer on one side of the surface, a wall or a gap, without a sample in it:
-/// both ends are on the other side as all samples within a voxel of them, and the distance from the level increases
-/// along the axis beyond both ends. Each edge has the place, in voxels from the first sample, where a field with equal
+/// The edges of a block that may cross a thin layer on one side of the surface, a wall or a gap, without a sample in
+/// it. Both ends, and all samples within a voxel of them, are on the other side. Beyond both ends the distance from the
+/// level increases along the axis. Each edge has the place, in voxels from the first sample, where a field with equal
 /// slopes on both sides is nearest to the layer.
 fn edges_across(side: Side, samples: &[f32], level: f32, lipschitz: f64, spacing: DVec3) -> Vec<(DVec3, usize)> {
     let n = SIDE as i32 + 1;

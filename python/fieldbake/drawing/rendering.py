@@ -165,7 +165,7 @@ class Options:
         )
         is_marched = self.primary == "raymarch"
         return Fields(
-            of_solids=self.shadows == "soft" or bool(self.ambient_occlusion) or is_marched or scatters,
+            of_solids=self.shadows == "soft" or is_marched or scatters,
             of_sheets=is_marched,
         )
 

@@ -37,9 +37,9 @@ class Instance:
     Parameters
     ----------
     geometry : Mesh, Volume, SparseVolume, NestedField, ``atlas[i]``, Shape, Quadric, list of Quadric, or any mesh
-        A mesh is rasterised, and rays of light intersect its triangles. Its soft shadow and its occlusion come from its
+        A mesh is rasterised, and rays of light and of occlusion intersect its triangles. Its soft shadow comes from its
         distance field, which is baked when needed and kept. For a flat or thin mesh, an open sheet and a mesh with a
-        mask or a translucent texture they come from its triangles. Rays intersect all other objects directly: a volume
+        mask or a translucent texture it comes from its triangles. Rays intersect all other objects directly: a volume
         at the roots of its cells, a shape at the roots of its parts (``fb.bake(shape)`` makes a volume of it), a
         quadric in closed form. The quadrics of a list are one object.
     transform : (4, 4), optional

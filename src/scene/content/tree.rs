@@ -5,6 +5,7 @@
 
 use crate::geometry::Aabb;
 use crate::gpu::layout::SceneNode;
+use crate::simd::with_vectors;
 use glam::Vec3;
 
 /// Largest number of items in a leaf. Nodes of devices have two.
@@ -102,6 +103,91 @@ impl Line {
         let enter = near.max_element().max(0.0);
         let leave = far.min_element().min(t_max);
         (enter <= leave * 1.000_001).then_some((enter, leave))
+    }
+}
+
+/// Number of rays that are tested together.
+const LANES: usize = 8;
+
+/// Rays in scene space side by side, for the test of one box against all of them.
+#[derive(Debug, Default)]
+pub(crate) struct Lines {
+    /// Components of the origins and of the inverse directions, and the ends, for groups of [`LANES`] rays.
+    groups: Vec<LineGroup>,
+    count: usize,
+}
+
+/// The components of some rays, indexed by axis and ray.
+#[derive(Debug, Clone, Copy)]
+struct LineGroup {
+    origin: [[f32; LANES]; 3],
+    inverse: [[f32; LANES]; 3],
+    t_max: [f32; LANES],
+}
+
+impl Lines {
+    /// Adds a ray. The ray ends at `t_max`.
+    pub(crate) fn push(&mut self, line: &Line, t_max: f32) {
+        let lane = self.count % LANES;
+        if lane == 0 {
+            let [origin, inverse] = [[[0.0; LANES]; 3]; 2];
+            self.groups.push(LineGroup { origin, inverse, t_max: [f32::NEG_INFINITY; LANES] });
+        }
+        self.count += 1;
+        let group = &mut self.groups[(self.count - 1) / LANES];
+        for axis in 0..3 {
+            group.origin[axis][lane] = line.origin[axis];
+            group.inverse[axis][lane] = line.inverse[axis];
+        }
+        group.t_max[lane] = t_max;
+    }
+
+    /// Removes a ray from further tests.
+    pub(crate) fn remove(&mut self, i: usize) {
+        self.groups[i / LANES].t_max[i % LANES] = f32::NEG_INFINITY;
+    }
+
+    /// Appends the rays that may intersect a box, by the test of [`Line::touches`], to `found`.
+    pub(crate) fn touching(&self, bounds: &Aabb, found: &mut Vec<usize>) {
+        let (min, max) = ((bounds.min - MARGIN).to_array(), (bounds.max + MARGIN).to_array());
+        let groups = &self.groups[..];
+        with_vectors!((
+            groups: &[LineGroup] = groups,
+            min: [f32; 3] = min,
+            max: [f32; 3] = max,
+            found: &mut Vec<usize> = found,
+        ) {
+            for (i, group) in groups.iter().enumerate() {
+                let mut mask = group.touching(min, max);
+                while mask != 0 {
+                    found.push(LANES * i + mask.trailing_zeros() as usize);
+                    mask &= mask - 1;
+                }
+            }
+        })
+    }
+}
+
+impl LineGroup {
+    /// Mask of the rays that may intersect a box.
+    #[inline(always)]
+    fn touching(&self, min: [f32; 3], max: [f32; 3]) -> u32 {
+        let mut mask = 0;
+        let (mut enter, mut leave) = ([0.0f32; LANES], self.t_max);
+        for axis in 0..3 {
+            let (origin, inverse) = (&self.origin[axis], &self.inverse[axis]);
+            for lane in 0..LANES {
+                let a = (min[axis] - origin[lane]) * inverse[lane];
+                let b = (max[axis] - origin[lane]) * inverse[lane];
+                let (near, far) = if a < b { (a, b) } else { (b, a) };
+                enter[lane] = if near > enter[lane] { near } else { enter[lane] };
+                leave[lane] = if far < leave[lane] { far } else { leave[lane] };
+            }
+        }
+        for lane in 0..LANES {
+            mask |= u32::from(enter[lane] <= leave[lane] * 1.000_001) << lane;
+        }
+        mask
     }
 }
 
@@ -250,6 +336,31 @@ mod tests {
                 });
                 prop_assert!(is_found || !is_hit);
             }
+        }
+    }
+
+    proptest! {
+        /// Rays side by side find the boxes that single rays find, for directions along axes too, until they are removed.
+        #[test]
+        fn lines_have_the_results_of_single_rays(
+            rays in prop::collection::vec((vector(), vector(), 0.0..3.0f32, prop::bool::ANY), 1..20),
+            (corner, size) in (vector(), vector()), removed in 0..20usize
+        ) {
+            let bounds = Aabb { min: corner, max: corner + size.abs() };
+            let (mut lines, mut expected) = (Lines::default(), Vec::new());
+            for (i, &(origin, direction, t_max, is_along_axis)) in rays.iter().enumerate() {
+                let line = Line::new(origin, if is_along_axis { Vec3::Y } else { direction.normalize_or(Vec3::Z) });
+                lines.push(&line, t_max);
+                if i != removed && line.touches(&bounds, t_max) {
+                    expected.push(i);
+                }
+            }
+            if removed < rays.len() {
+                lines.remove(removed);
+            }
+            let mut found = Vec::new();
+            lines.touching(&bounds, &mut found);
+            prop_assert_eq!(found, expected);
         }
     }
 

@@ -2,6 +2,7 @@
 
 use super::cone::visible_share;
 use super::light_rays::{LightRay, LightWork, SurfacePoint, basis, disc_point, toward};
+use super::mesh_rays::PATTERNS;
 use super::occluder::{NearList, bias};
 use super::occlusion::Occluders;
 use super::shadow::TracedScene;
@@ -166,6 +167,11 @@ impl<'a> LitSurface<'a> {
         pixel_turn(self.layer.x as usize, self.y)
     }
 
+    /// Number of the pattern of directions in which rays of occlusion are traced.
+    pub(crate) fn pattern(&self) -> usize {
+        (self.turn() * (PATTERNS as f32 / std::f32::consts::TAU)) as usize
+    }
+
     /// Cosine between the normal and a ray.
     pub(crate) fn cosine(&self, ray: &LightRay) -> f32 {
         self.layer.normal.dot(ray.direction.as_vec3())
@@ -217,7 +223,7 @@ impl<'a> LitSurface<'a> {
         let (scene, place, mut work) = (traced.scene, &self.place, LightWork::default());
         *found.open = match options.occlusion {
             None => 1.0,
-            Some(distance) => traced.open_share(place, distance / scene.scale, occluders, &mut work),
+            Some(distance) => traced.open_share(place, distance / scene.scale, self.pattern(), occluders, &mut work),
         };
         for (i, light) in lights.lights.iter().enumerate() {
             let (ray, slope, _) = light.seen_from(place.p);

@@ -31,6 +31,22 @@ impl NearInstances {
         self.radius.push(radius);
     }
 
+    /// The instances above the plane through a place and within a distance of it, near ones first.
+    pub(crate) fn above(&self, p: Vec3, normal: Vec3, distance: f32) -> Vec<BallFrom> {
+        let mut found = Vec::new();
+        for (i, &item) in self.items.iter().enumerate() {
+            let (to_center, radius) = (Vec3::new(self.x[i], self.y[i], self.z[i]) - p, self.radius[i]);
+            let length = to_center.length();
+            // Rounding moves a ball by a fraction of its distance.
+            let radius = radius + ROUNDING * (1.0 + length);
+            if to_center.dot(normal) + radius >= 0.0 && length - radius <= distance {
+                found.push(BallFrom { item, to_center, length, radius });
+            }
+        }
+        found.sort_by(|a, b| (a.length - a.radius).total_cmp(&(b.length - b.radius)).then(a.item.cmp(&b.item)));
+        found
+    }
+
     /// The centres of the balls along x, y and z, and their radii.
     pub(crate) fn balls(&self) -> [&[f32]; 4] {
         [&self.x, &self.y, &self.z, &self.radius]
@@ -43,6 +59,31 @@ impl NearInstances {
         // The widest part of the cone that can touch the ball.
         let radius = radius + slope * (along.max(0.0) + radius);
         along >= -radius && squared - along * along <= radius * radius + ROUNDING * squared
+    }
+}
+
+/// The ball around the surface of an instance, from a place.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct BallFrom {
+    pub item: u32,
+    to_center: Vec3,
+    /// Length of `to_center`.
+    length: f32,
+    radius: f32,
+}
+
+impl BallFrom {
+    /// Whether a ray at an angle to a unit axis with at least this cosine may intersect the ball.
+    pub(crate) fn may_intersect(&self, axis: Vec3, cosine: f32) -> bool {
+        let Self { to_center, length, radius, .. } = *self;
+        if length <= radius {
+            return true;
+        }
+        let (along, tangent) = (to_center.dot(axis), (length * length - radius * radius).sqrt());
+        let aside = (length * length - along * along).max(0.0).sqrt();
+        // Sine and cosine of the angle between the axis and the nearest ray to the ball, times the squared length.
+        let (sine, nearest) = (aside * tangent - along * radius, along * tangent + aside * radius);
+        sine <= 0.0 || nearest >= (cosine - ROUNDING) * length * length
     }
 }
 

@@ -2,8 +2,9 @@
 //!
 //! # Theory
 //!
-//! [`AO_CONES`] cones cover the hemisphere. Each is evaluated like a cone of a soft shadow ([`super::shadow`]), but
-//! only up to a given distance, and without the narrow cones that refine a penumbra.
+//! The triangles of meshes are traced by rays ([`super::mesh_rays`]). This file evaluates the fields of all other
+//! objects. [`AO_CONES`] cones cover the hemisphere. Each is evaluated like a cone of a soft shadow
+//! ([`super::shadow`]), but only up to a given distance, and without the narrow cones that refine a penumbra.
 //!
 //! A wide cone may intersect many instances, so the instances near a place are gathered once for all of its cones. The
 //! surface of each instance lies in a ball. Seen from the place, let the ball
@@ -27,7 +28,7 @@
 //! the axis and others block the section beside its edge, they are not, and the cone is darker. It is never darker than
 //! if no two instances overlapped.
 
-use super::cone::{AO_SLOPE, AO_TANGENT, BallAhead, ConeSum, WideCone, clearance, visible_share};
+use super::cone::{AO_SLOPE, BallAhead, ConeSum, WideCone, clearance, visible_share};
 use super::light_rays::{LightCone, LightRay, LightWork, SurfacePoint, basis};
 use super::near_instances::{Beside, ConeOccluder, NearInstances};
 use super::occluder::bias;
@@ -86,6 +87,8 @@ pub(crate) struct Occluders {
     weight: Vec<f32>,
     /// The instances that the current cone may meet. The evaluated ones are at the end.
     candidates: Vec<ConeOccluder>,
+    /// The meshes that the last search found, whose triangles are traced.
+    meshes: NearInstances,
 }
 
 /// Where occluders of a place may be, scene units.
@@ -308,19 +311,33 @@ impl TracedScene<'_> {
         &self,
         place: &SurfacePoint,
         distance: f64,
+        pattern: usize,
         occluders: &mut Occluders,
         work: &mut LightWork,
     ) -> f32 {
-        self.gather(place, distance, occluders);
+        let past_faces = self.open_past_faces(place, distance, pattern, occluders, work);
         let (mut sum, mut weights) = (0.0, 0.0);
-        for (ray, weight) in place.open_rays(distance) {
-            let past_sheets = self.scene.cone_past_sheets(place, &ray, AO_TANGENT, work);
-            if past_sheets > 0.0 {
-                sum += weight * past_sheets * self.wide_share(place, &ray, occluders, work);
+        for ((ray, weight), past_faces) in place.open_rays(distance).zip(past_faces) {
+            if past_faces > 0.0 {
+                sum += weight * past_faces * self.wide_share(place, &ray, occluders, work);
             }
             weights += weight;
         }
         sum / weights
+    }
+
+    /// Fraction of each part of the hemisphere above a place that passes the triangles of meshes. `pattern` selects the
+    /// directions of rays. Gathers the occluders of the place.
+    pub(crate) fn open_past_faces(
+        &self,
+        place: &SurfacePoint,
+        distance: f64,
+        pattern: usize,
+        occluders: &mut Occluders,
+        work: &mut LightWork,
+    ) -> [f32; AO_CONES] {
+        self.gather(place, distance, occluders);
+        self.hemisphere_past(&occluders.meshes, place, distance, pattern, work)
     }
 
     /// Gathers the instances that cones over the hemisphere above a place may meet.
@@ -336,8 +353,14 @@ impl TracedScene<'_> {
         if !occluders.around.is_some_and(|(center, radius)| radius == reach && center.distance(p) <= SHARED * reach) {
             occluders.around = Some((p, reach));
             occluders.nearby.clear();
+            occluders.meshes.clear();
             tree.near(p, (1.0 + SHARED + ROUNDING) * reach, |item| {
-                if instances[item as usize].casting_field().is_some() {
+                let instance = &instances[item as usize];
+                if instance.casting_triangles().is_some() {
+                    // The field of a mesh lacks its thin parts, and its ball may be too small.
+                    let bounds = &self.scene.boxes[item as usize];
+                    occluders.meshes.push(item, 0.5 * (bounds.min + bounds.max), 0.5 * bounds.extent().length());
+                } else if instance.casting_field().is_some() {
                     let ball = &balls[item as usize];
                     occluders.nearby.push(item, ball.center, ball.radius);
                 }

@@ -3,8 +3,7 @@
 //! # Theory
 //!
 //! A distance field on a grid cannot represent objects thinner than a voxel, and a thicker sheet shades itself. Cones
-//! of light and occlusion past a sheet are therefore sampled by thin rays, which trace triangles
-//! ([`super::mesh_rays`]).
+//! of light past a sheet are therefore sampled by thin rays, which trace triangles ([`super::mesh_rays`]).
 //!
 //! A cone is sampled by [`CONE_RAYS`] rays spread evenly over its section, and a light's disc by [`PARTS`] such cones.
 //! Before that, [`RIM_RAYS`] rays on the rim and [`PROBE_RAYS`] inside it decide discs that are completely lit or dark:
@@ -17,10 +16,10 @@
 //!
 //! Sheets are evaluated on the CPU for pictures of every device, so their shadows do not depend on it.
 
-use super::cone::AO_TANGENT;
 use super::light_rays::{LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
 use super::lit_surface::{Lights, LitSurface};
 use super::mesh_rays::is_skipped;
+use super::occlusion::Occluders;
 use super::shadow::TracedScene;
 use crate::scene::content::instance::Instance;
 use crate::scene::content::model::Scene;
@@ -57,15 +56,6 @@ impl Sheets {
 }
 
 impl Scene {
-    /// Mean fraction of a cone's section that passes the sheets.
-    pub fn cone_past_sheets(&self, place: &SurfacePoint, ray: &LightRay, slope: f32, work: &mut LightWork) -> f32 {
-        if self.sheets.is_empty() {
-            return 1.0;
-        }
-        let sheets = self.sheets.near(&self.instances, place, ray, slope);
-        if sheets.is_empty() { 1.0 } else { self.cone_past(&sheets, place, ray, slope, work) }
-    }
-
     /// Fraction of each of the [`PARTS`] of a light's disc that passes the sheets: angular radius `slope`, `ray` to its
     /// centre.
     pub fn disc_past_sheets(
@@ -128,7 +118,7 @@ impl TracedScene<'_> {
             SceneShadows::Soft => lights.lights.iter().any(|light| !light.has_size()),
             SceneShadows::None => false,
         };
-        !self.scene.sheets.is_empty() || (has_rays && self.scene.has_faces)
+        !self.scene.sheets.is_empty() || ((has_rays || options.occlusion.is_some()) && self.scene.has_faces)
     }
 
     /// Fractions of a light that pass triangles: for a disc one for each of its [`PARTS`] past the sheets, for a point
@@ -147,8 +137,8 @@ impl TracedScene<'_> {
         }
     }
 
-    /// All fractions past triangles that the light pass needs at a surface: first each cone of occlusion, then for each
-    /// evaluated light one fraction (hard), [`PARTS`] (soft) or one per ray (area).
+    /// All fractions past triangles that the light pass needs at a surface: first each part of the hemisphere, then for
+    /// each evaluated light one fraction (hard), [`PARTS`] (soft) or one per ray (area).
     pub(crate) fn faces_at(
         &self,
         surface: &LitSurface<'_>,
@@ -158,9 +148,8 @@ impl TracedScene<'_> {
         let (mut shares, mut work) = (Vec::new(), LightWork::default());
         let place = &surface.place;
         if let Some(distance) = options.occlusion {
-            for (ray, _) in place.open_rays(distance / self.scene.scale) {
-                shares.push(self.scene.cone_past_sheets(place, &ray, AO_TANGENT, &mut work));
-            }
+            let (distance, pattern) = (distance / self.scene.scale, surface.pattern());
+            shares.extend(self.open_past_faces(place, distance, pattern, &mut Occluders::default(), &mut work));
         }
         for light in &lights.lights {
             let (ray, slope, _) = light.seen_from(place.p);

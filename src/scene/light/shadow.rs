@@ -42,7 +42,6 @@
 use super::cone::{AO_TANGENT, Cone, ConeShare, ConeSum, ConeWalk, Decision, RayPast, WideCone};
 use super::far_field::{Far, FarLevel, Split};
 use super::light_rays::{LightCone, LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
-use super::mesh_rays::PlacedRay;
 use super::occluder::{NearList, Occluder, ray_in_field};
 use crate::gpu::constants::scene_beams::END_FADE;
 use crate::scene::content::model::Scene;
@@ -304,10 +303,7 @@ impl<'a> TracedScene<'a> {
         let Some(near) = self.near.filter(|_| self.far.is_none()) else {
             return rays.map(|ray| self.ray_share(place, &ray, work)).sum::<f32>() / count as f32;
         };
-        let mut rays: Vec<PlacedRay<'_>> = rays.map(|ray| PlacedRay::new(place, ray)).collect();
-        self.pass_rays(near, &mut rays);
-        rays.iter().for_each(|ray| *work += ray.work);
-        rays.iter().map(|ray| ray.share).sum::<f32>() / count as f32
+        self.sum_of_rays(near, place, rays, work) / count as f32
     }
 
     /// Fraction of a thin ray, and whether it entered the far field.

@@ -64,14 +64,15 @@ fn light_bunch(
         row.is_evaluated[i] = true;
     }
     let beams = behind.iter().map(|behind| beam(&behind.place, &behind.ray, behind.slope)).collect();
-    let past_faces = past_faces(pass, &behind, |Behind { place, ray, slope, .. }| {
+    let (past_faces, works) = past_faces(pass, &behind, |Behind { place, ray, slope, .. }| {
         let mut work = LightWork::default();
         let shares = pass.traced.light_past_faces(place, ray, *slope, &mut work);
         (shares, work)
     })?;
     let mut shares = Batch::run(pass, device, beams, past_faces)?;
+    let mut works = works.into_iter();
     for (Behind { light, transmitted, .. }, (y, i)) in behind.into_iter().zip(owners) {
-        let mut work = LightWork::default();
+        let mut work = works.next().unwrap_or_default();
         let visible = shares.next(&mut work).ok_or_else(|| too_few(device))?;
         let row = &mut evaluated.rows[y];
         let found = parts_of(&mut row.values[i * stride(lights)..][..stride(lights)], lights);
@@ -135,6 +136,8 @@ struct DeviceResults {
     direct: Batch,
     /// Lengths inside the own instance.
     lengths: std::vec::IntoIter<BeamResult>,
+    /// The work of the CPU for each surface. Empty if no triangles block the light.
+    works: std::vec::IntoIter<LightWork>,
 }
 
 impl DeviceResults {
@@ -148,9 +151,10 @@ impl DeviceResults {
             first_beams(pass, surface, &mut beams, &mut inside);
         }
         let lengths = device.thicknesses(&inside, pass.progress)?;
-        let past_faces =
+        let (past_faces, works) =
             past_faces(pass, bunch, |(_, _, surface)| pass.traced.faces_at(surface, pass.lights, pass.options))?;
-        Ok(Self { direct: Batch::run(pass, device, beams, past_faces)?, lengths: lengths.into_iter() })
+        let direct = Batch::run(pass, device, beams, past_faces)?;
+        Ok(Self { direct, lengths: lengths.into_iter(), works: works.into_iter() })
     }
 
     /// Stores the results for the next surface in `found` and returns their work; `None` if there are no more results.
@@ -162,7 +166,7 @@ impl DeviceResults {
         found: &mut LightSampleMut<'_>,
         behind: &mut Vec<Behind>,
     ) -> Option<LightWork> {
-        let mut work = LightWork::default();
+        let mut work = self.works.next().unwrap_or_default();
         let scene = pass.traced.scene;
         *found.open = 1.0;
         if let Some(distance) = pass.options.occlusion {
@@ -231,25 +235,24 @@ struct Behind {
     slope: f32,
 }
 
-/// Fractions of all beams of some surfaces past triangles, in order.
+/// Fractions of all beams of some surfaces past triangles, in order, and the work for each surface.
 fn past_faces<T: Sync>(
     pass: &Pass<'_>,
     items: &[T],
     shares: impl Fn(&T) -> (Vec<f32>, LightWork) + Sync,
-) -> Result<Vec<f32>, Error> {
+) -> Result<(Vec<f32>, Vec<LightWork>), Error> {
     if !pass.traced.needs_faces(pass.lights, pass.options) {
-        return Ok(Vec::new());
+        return Ok(Default::default());
     }
     let found = items
         .par_iter()
         .map(|item| {
             pass.progress.check()?;
-            let (shares, work) = shares(item);
-            pass.counters.add(work);
-            Ok(shares)
+            Ok(shares(item))
         })
         .collect::<Result<Vec<_>, Error>>()?;
-    Ok(found.concat())
+    let (found, works): (Vec<_>, Vec<_>) = found.into_iter().unzip();
+    Ok((found.concat(), works))
 }
 
 /// Appends the beams of a surface: first the cones of occlusion, then for each light one beam, or all rays of an area

@@ -108,7 +108,7 @@ impl<'a> Tiles<'a> {
                     let ray = source.seen_from(place.p).0;
                     if place.is_above_horizon(&ray) {
                         surfaces.push(surface);
-                        traced.push(PlacedRay::new(place, ray));
+                        traced.push(PlacedRay::new(pass.traced, place, ray));
                     }
                 }
                 pass.traced.pass_rays(&near[number], &mut traced);
