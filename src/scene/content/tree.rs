@@ -340,7 +340,7 @@ mod tests {
     }
 
     proptest! {
-        /// Rays side by side find the boxes that single rays find, for directions along axes too, until they are removed.
+        /// Rays side by side find the boxes that single rays find, along axes too, until they are removed.
         #[test]
         fn lines_have_the_results_of_single_rays(
             rays in prop::collection::vec((vector(), vector(), 0.0..3.0f32, prop::bool::ANY), 1..20),
