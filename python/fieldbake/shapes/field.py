@@ -156,7 +156,7 @@ class Field(Viewable, Sectioned):
         -----
         SurfaceWarning
             If more than 5 % of the surface bounds walls or gaps thinner than a voxel, also of walls that the mesh
-            lacks.
+            lacks and gaps that it closes.
 
         Notes
         -----

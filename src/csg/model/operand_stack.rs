@@ -38,9 +38,9 @@ impl<T> OperandStack<T> {
 
     /// Removes the last `count` results, in their order.
     pub(crate) fn pop_many(&mut self, count: usize) -> Vec<T> {
-        // The tasks of the operands precede the task of their operator, and each pushes one result.
-        let first = self.0.len().checked_sub(count).expect(MISSING);
-        self.0.split_off(first)
+        let mut results: Vec<T> = (0..count).map(|_| self.pop()).collect();
+        results.reverse();
+        results
     }
 
     /// Removes the result of all tokens; None without tokens.

@@ -30,6 +30,16 @@ impl SurfacePoint {
     }
 }
 
+/// The hemisphere above a surface point, in which occluders count.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Hemisphere<'a> {
+    pub place: &'a SurfacePoint,
+    /// Largest distance of an occluder, scene units.
+    pub distance: f64,
+    /// Number of the pattern of directions in which rays are traced.
+    pub pattern: usize,
+}
+
 /// A ray from a surface point: a unit direction and a length.
 #[derive(Debug, Clone, Copy)]
 pub struct LightRay {

@@ -1,7 +1,7 @@
 //! A visible surface with the light on it: the rays and cones that its light needs, and their evaluation on the CPU.
 
 use super::cone::visible_share;
-use super::light_rays::{LightRay, LightWork, SurfacePoint, basis, disc_point, toward};
+use super::light_rays::{Hemisphere, LightRay, LightWork, SurfacePoint, basis, disc_point, toward};
 use super::mesh_rays::PATTERNS;
 use super::occluder::{NearList, bias};
 use super::occlusion::Occluders;
@@ -167,9 +167,10 @@ impl<'a> LitSurface<'a> {
         pixel_turn(self.layer.x as usize, self.y)
     }
 
-    /// Number of the pattern of directions in which rays of occlusion are traced.
-    pub(crate) fn pattern(&self) -> usize {
-        (self.turn() * (PATTERNS as f32 / std::f32::consts::TAU)) as usize
+    /// The hemisphere for occlusion by occluders within a distance, scene units.
+    pub(crate) fn hemisphere(&self, distance: f64) -> Hemisphere<'_> {
+        let pattern = (self.turn() * (PATTERNS as f32 / std::f32::consts::TAU)) as usize;
+        Hemisphere { place: &self.place, distance, pattern }
     }
 
     /// Cosine between the normal and a ray.
@@ -223,7 +224,7 @@ impl<'a> LitSurface<'a> {
         let (scene, place, mut work) = (traced.scene, &self.place, LightWork::default());
         *found.open = match options.occlusion {
             None => 1.0,
-            Some(distance) => traced.open_share(place, distance / scene.scale, self.pattern(), occluders, &mut work),
+            Some(distance) => traced.open_share(&self.hemisphere(distance / scene.scale), occluders, &mut work),
         };
         for (i, light) in lights.lights.iter().enumerate() {
             let (ray, slope, _) = light.seen_from(place.p);

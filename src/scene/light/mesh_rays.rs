@@ -30,7 +30,7 @@
 //! permuted in [`PATTERNS`] ways for different pixels (Kollig and Keller, *Efficient Multidimensional Sampling*, 2002).
 
 use super::far_field::Split;
-use super::light_rays::{LightRay, LightWork, SurfacePoint, basis};
+use super::light_rays::{Hemisphere, LightRay, LightWork, SurfacePoint, basis};
 use super::near_instances::NearInstances;
 use super::occluder::NearList;
 use super::shadow::TracedScene;
@@ -169,14 +169,11 @@ impl TracedScene<'_> {
         rays.iter().map(|ray| ray.share).sum()
     }
 
-    /// Fraction of the rays in each part of the hemisphere above a place that passes `meshes`. Rays have the length
-    /// `distance`, scene units, and `pattern` selects their directions.
+    /// Fraction of the rays in each part of a hemisphere that passes `meshes`.
     pub(crate) fn hemisphere_past(
         &self,
         meshes: &NearInstances,
-        place: &SurfacePoint,
-        distance: f64,
-        pattern: usize,
+        &Hemisphere { place, distance, pattern }: &Hemisphere<'_>,
         work: &mut LightWork,
     ) -> [f32; AO_CONES] {
         let mut past = [1.0; AO_CONES];
@@ -187,8 +184,8 @@ impl TracedScene<'_> {
         let normal = place.normal.as_dvec3();
         let [right, up] = basis(normal);
         let parts = place.open_rays(distance).zip(&DIRECTIONS[pattern % PATTERNS]);
-        for (past, ((axis, _), directions)) in past.iter_mut().zip(parts) {
-            let cosine = if directions.len() == MIDDLE_RAYS as usize { MIDDLE_COSINE } else { SECTOR_COSINE };
+        for (part, ((axis, _), directions)) in parts.enumerate() {
+            let cosine = if part == 0 { MIDDLE_COSINE } else { SECTOR_COSINE };
             let axis = axis.direction.as_vec3();
             let items: Vec<u32> =
                 near.iter().filter(|ball| ball.may_intersect(axis, cosine)).map(|ball| ball.item).collect();
@@ -197,7 +194,7 @@ impl TracedScene<'_> {
             }
             let world = |v: &Vec3| f64::from(v.x) * right + f64::from(v.y) * up + f64::from(v.z) * normal;
             let rays = directions.iter().map(|v| LightRay { direction: world(v), t_max: distance });
-            *past = self.sum_of_rays(&NearList::new(items), place, rays, work) / directions.len() as f32;
+            past[part] = self.sum_of_rays(&NearList::new(items), place, rays, work) / directions.len() as f32;
         }
         past
     }

@@ -62,6 +62,16 @@ impl NearInstances {
     }
 }
 
+/// Distance of the centre of a ball from the axis of a cone, and sine and cosine of `A - B`, each times `c^2`, from the
+/// position of the centre along the axis, its squared distance `c^2`, the radius, and the length of the tangent.
+#[inline(always)]
+pub(crate) fn side_of_ball(along: f32, squared: f32, radius: f32, tangent: f32) -> [f32; 3] {
+    let aside_squared = squared - along * along;
+    // Unlike `max`, the comparison is vectorised.
+    let aside = (if aside_squared > 0.0 { aside_squared } else { 0.0 }).sqrt();
+    [aside, aside * tangent - along * radius, along * tangent + aside * radius]
+}
+
 /// The ball around the surface of an instance, from a place.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct BallFrom {
@@ -79,11 +89,9 @@ impl BallFrom {
         if length <= radius {
             return true;
         }
-        let (along, tangent) = (to_center.dot(axis), (length * length - radius * radius).sqrt());
-        let aside = (length * length - along * along).max(0.0).sqrt();
-        // Sine and cosine of the angle between the axis and the nearest ray to the ball, times the squared length.
-        let (sine, nearest) = (aside * tangent - along * radius, along * tangent + aside * radius);
-        sine <= 0.0 || nearest >= (cosine - ROUNDING) * length * length
+        let squared = length * length;
+        let [_, sine, nearest] = side_of_ball(to_center.dot(axis), squared, radius, (squared - radius * radius).sqrt());
+        sine <= 0.0 || nearest >= (cosine - ROUNDING) * squared
     }
 }
 

@@ -29,8 +29,8 @@
 //! if no two instances overlapped.
 
 use super::cone::{AO_SLOPE, BallAhead, ConeSum, WideCone, clearance, visible_share};
-use super::light_rays::{LightCone, LightRay, LightWork, SurfacePoint, basis};
-use super::near_instances::{Beside, ConeOccluder, NearInstances};
+use super::light_rays::{Hemisphere, LightCone, LightRay, LightWork, SurfacePoint, basis};
+use super::near_instances::{Beside, ConeOccluder, NearInstances, side_of_ball};
 use super::occluder::bias;
 use super::shadow::TracedScene;
 use crate::gpu::constants::scene_beams::{AO_CONES, AO_RING_COSINE, AO_RING_SINE, LEAST_BALL, MOST_WEIGHT};
@@ -148,16 +148,6 @@ struct BallBounds<'a> {
     radius: &'a [f32],
     tangent: &'a [f32],
     limit: &'a [f32],
-}
-
-/// Distance of the centre of a ball from the axis of a cone, and sine and cosine of `A - B`, each times `c^2`, from the
-/// position of the centre along the axis, its squared distance `c^2`, the radius, and the length of the tangent.
-#[inline(always)]
-fn side_of_ball(along: f32, squared: f32, radius: f32, tangent: f32) -> [f32; 3] {
-    let aside_squared = squared - along * along;
-    // Unlike `max`, the comparison is vectorised.
-    let aside = (if aside_squared > 0.0 { aside_squared } else { 0.0 }).sqrt();
-    [aside, aside * tangent - along * radius, along * tangent + aside * radius]
 }
 
 impl BallBounds<'_> {
@@ -306,16 +296,15 @@ fn ball_weight(cones: &[(Vec3, f32); AO_CONES], toward: Vec3, radius: f32) -> f3
 }
 
 impl TracedScene<'_> {
-    /// Fraction of the hemisphere above a place that no occluder within `distance`, scene units, covers.
+    /// Fraction of a hemisphere that no occluder covers.
     pub(crate) fn open_share(
         &self,
-        place: &SurfacePoint,
-        distance: f64,
-        pattern: usize,
+        hemisphere: &Hemisphere<'_>,
         occluders: &mut Occluders,
         work: &mut LightWork,
     ) -> f32 {
-        let past_faces = self.open_past_faces(place, distance, pattern, occluders, work);
+        let past_faces = self.open_past_faces(hemisphere, occluders, work);
+        let &Hemisphere { place, distance, .. } = hemisphere;
         let (mut sum, mut weights) = (0.0, 0.0);
         for ((ray, weight), past_faces) in place.open_rays(distance).zip(past_faces) {
             if past_faces > 0.0 {
@@ -326,18 +315,15 @@ impl TracedScene<'_> {
         sum / weights
     }
 
-    /// Fraction of each part of the hemisphere above a place that passes the triangles of meshes. `pattern` selects the
-    /// directions of rays. Gathers the occluders of the place.
+    /// Fraction of each part of a hemisphere that passes the triangles of meshes. Gathers the occluders of its place.
     pub(crate) fn open_past_faces(
         &self,
-        place: &SurfacePoint,
-        distance: f64,
-        pattern: usize,
+        hemisphere: &Hemisphere<'_>,
         occluders: &mut Occluders,
         work: &mut LightWork,
     ) -> [f32; AO_CONES] {
-        self.gather(place, distance, occluders);
-        self.hemisphere_past(&occluders.meshes, place, distance, pattern, work)
+        self.gather(hemisphere.place, hemisphere.distance, occluders);
+        self.hemisphere_past(&occluders.meshes, hemisphere, work)
     }
 
     /// Gathers the instances that cones over the hemisphere above a place may meet.

@@ -148,8 +148,8 @@ impl TracedScene<'_> {
         let (mut shares, mut work) = (Vec::new(), LightWork::default());
         let place = &surface.place;
         if let Some(distance) = options.occlusion {
-            let (distance, pattern) = (distance / self.scene.scale, surface.pattern());
-            shares.extend(self.open_past_faces(place, distance, pattern, &mut Occluders::default(), &mut work));
+            let hemisphere = surface.hemisphere(distance / self.scene.scale);
+            shares.extend(self.open_past_faces(&hemisphere, &mut Occluders::default(), &mut work));
         }
         for light in &lights.lights {
             let (ray, slope, _) = light.seen_from(place.p);
