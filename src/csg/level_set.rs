@@ -8,6 +8,9 @@
 //! and the plane is the level set of this function. On the flat side of a crease the plane is therefore exact even
 //! where the point lies off the surface.
 
+use super::between_samples::{
+    SIDE, Side, axes_across_joints, count_missed, edges_across, joint_depth, suspected_joints,
+};
 use crate::csg::evaluation::active_operands::ActiveTokens;
 use crate::csg::evaluation::dual::{ASIDE, Dual};
 use crate::csg::evaluation::program::{Program, Stack};
@@ -21,10 +24,6 @@ use crate::surface::{CrossedEdge, Crossing, ExtraPlanes, LevelSurface, SurfaceBl
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 use std::sync::{Arc, Mutex, PoisonError};
-
-/// Cells along the side of a block. Smaller blocks evaluate fewer samples far from the surface, but share more samples
-/// on their faces.
-const SIDE: usize = 8;
 
 /// Relative margin of the bound of a block, which covers the rounding of values to float32.
 const ROUNDING: f64 = 1e-5;
@@ -50,12 +49,6 @@ const BESIDE: f64 = 1e-7;
 
 /// The square of the smallest gradient that has a direction.
 const LEAST_SQUARE: f64 = 1e-12;
-
-/// Largest difference of a sample on a joint from the level, voxels.
-const ON_JOINT: f64 = 1.0 / 8192.0;
-
-/// Distance of the points on both sides of a joint from the sample on it, voxels.
-const BESIDE_JOINT: f64 = 1.0 / 8.0;
 
 /// Number of grids that are tried until no sample lies on a joint.
 const MOST_GRIDS: usize = 4;
@@ -132,7 +125,7 @@ fn level_surface_and_joints(
         let most = (shape - 1).as_dvec3();
         let nearest = |index: DVec3| (IVec3::from(origin).as_dvec3() + index).clamp(DVec3::ZERO, most);
         let place = |(index, axis)| (grid.lower + (nearest(index) + 0.5) * grid.spacing(), axis);
-        let joints = suspected_joints(samples, level, (ON_JOINT * grid.spacing().min_element()) as f32);
+        let joints = suspected_joints(samples, level, joint_depth(grid));
         append(&suspects, joints.into_iter().map(place).collect());
         for side in [Side::Inside, Side::Outside] {
             let edges = edges_across(side, samples, level, solid.model.lipschitz, grid.spacing());
@@ -152,119 +145,6 @@ fn append<T>(list: &Mutex<Vec<T>>, found: Vec<T>) {
     if !found.is_empty() {
         list.lock().unwrap_or_else(PoisonError::into_inner).extend(found);
     }
-}
-
-/// The two sides of a surface. A layer inside is a wall, a layer outside is a gap.
-#[derive(Clone, Copy)]
-enum Side {
-    Inside,
-    Outside,
-}
-
-impl Side {
-    /// The factor of a difference from the level that makes it negative on this side.
-    fn sign(self) -> f32 {
-        match self {
-            Self::Inside => 1.0,
-            Self::Outside => -1.0,
-        }
-    }
-}
-
-/// The edges of a block that may cross a thin layer on one side of the surface, a wall or a gap, without a sample in
-/// it. Both ends, and all samples within a voxel of them, are on the other side. Beyond both ends the distance from the
-/// level increases along the axis. Each edge has the place, in voxels from the first sample, where a field with equal
-/// slopes on both sides is nearest to the layer.
-fn edges_across(side: Side, samples: &[f32], level: f32, lipschitz: f64, spacing: DVec3) -> Vec<(DVec3, usize)> {
-    let n = SIDE as i32 + 1;
-    let signed = |value: f32| side.sign() * (value - level);
-    let value = |index: IVec3| signed(samples[(index.x + n * (index.y + n * index.z)) as usize]);
-    let is_beyond = |index: IVec3| {
-        let [low, high] = [(index - 1).max(IVec3::ZERO), (index + 1).min(IVec3::splat(n - 1))];
-        let mut rows = (low.z..=high.z).flat_map(|z| (low.y..=high.y).map(move |y| (y, z)));
-        rows.all(|(y, z)| (low.x..=high.x).all(|x| value(IVec3::new(x, y, z)) >= 0.0))
-    };
-    let most = (spacing * lipschitz).as_vec3();
-    let near = 0.0..most.max_element();
-    let mut found = Vec::new();
-    for (i, _) in samples.iter().enumerate().filter(|(_, value)| near.contains(&signed(**value))) {
-        let i = i as i32;
-        let start = IVec3::new(i % n, i / n % n, i / (n * n));
-        // The last samples along each axis are the first ones of the next block.
-        if start.max_element() == n - 1 {
-            continue;
-        }
-        for axis in 0..3 {
-            let (step, a) = (IVec3::AXES[axis], value(start));
-            let (end, b) = (start + step, value(start + step));
-            // Each block has one sample of its neighbours, so the outer neighbours of some edges are not known.
-            let rises = |from: f32, outer: IVec3| outer[axis] < 0 || outer[axis] == n || value(outer) > from;
-            let is_least = b >= 0.0 && a + b < most[axis] && rises(a, start - step) && rises(b, end + step);
-            if is_least && is_beyond(start) && is_beyond(end) {
-                let share = f64::from(a) / f64::from(a + b).max(f64::MIN_POSITIVE);
-                found.push((start.as_dvec3() + share * step.as_dvec3(), axis));
-            }
-        }
-    }
-    found
-}
-
-/// Number of edges along the axis with the most of them whose place is in a layer on their side. A layer is deeper than
-/// a joint.
-fn count_missed(
-    solid: &Solid,
-    grid: &Grid,
-    level: f32,
-    crossed: &[(DVec3, usize, Side)],
-    progress: &Progress,
-) -> Result<usize, Error> {
-    let places: Vec<DVec3> = crossed.iter().map(|&(place, ..)| place).collect();
-    let depth = (ON_JOINT * grid.spacing().min_element()) as f32;
-    let mut counts = [0; 3];
-    for (&(_, axis, side), value) in crossed.iter().zip(solid.distances(&places, progress)?) {
-        counts[axis] += usize::from(side.sign() * (value - level) < -depth);
-    }
-    Ok(counts.into_iter().max().unwrap_or(0))
-}
-
-/// Samples of a block at the level, and the axis along which no neighbour in the block is outside.
-fn suspected_joints(samples: &[f32], level: f32, tolerance: f32) -> Vec<(DVec3, usize)> {
-    let n = SIDE as i32 + 1;
-    let mut found = Vec::new();
-    for (i, _) in samples.iter().enumerate().filter(|(_, value)| (**value - level).abs() <= tolerance) {
-        let i = i as i32;
-        let index = IVec3::new(i % n, i / n % n, i / (n * n));
-        for (axis, step) in [1, n, n * n].into_iter().enumerate() {
-            let is_inside = |at: i32| samples[at as usize] < level - tolerance;
-            let before = index[axis] == 0 || is_inside(i - step);
-            let after = index[axis] == n - 1 || is_inside(i + step);
-            if before && after {
-                found.push((index.as_dvec3(), axis));
-            }
-        }
-    }
-    found
-}
-
-/// The axes along which both sides of a suspected sample are inside.
-fn axes_across_joints(
-    solid: &Solid,
-    grid: &Grid,
-    level: f32,
-    suspects: &[(DVec3, usize)],
-    progress: &Progress,
-) -> Result<[bool; 3], Error> {
-    let sides = suspects.iter().flat_map(|&(place, axis)| {
-        let step = BESIDE_JOINT * grid.spacing()[axis] * DVec3::AXES[axis];
-        [place - step, place + step]
-    });
-    let values = solid.distances(&sides.collect::<Vec<_>>(), progress)?;
-    let inside = level - (ON_JOINT * grid.spacing().min_element()) as f32;
-    let mut across = [false; 3];
-    for (&(_, axis), sides) in suspects.iter().zip(values.as_chunks::<2>().0) {
-        across[axis] |= sides.iter().all(|&value| value < inside);
-    }
-    Ok(across)
 }
 
 /// Buffers of evaluations.

@@ -13,6 +13,7 @@
 //!
 //! [`Solid`] is a shape prepared for evaluation. [`language`](text::language) reads and writes s-expressions.
 
+mod between_samples;
 pub(crate) mod device;
 pub(crate) mod evaluation;
 mod level_set;

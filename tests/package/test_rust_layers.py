@@ -39,7 +39,7 @@ LAYERS = [
 #: The order of the files and folders inside some folders, written as above.
 INNER = {
     "bvh": ["binary boxes build lanes moments pack refit stack", "nearest rays"],
-    "csg": ["tree", "model", "evaluation", "parts", "level_set text", "device"],
+    "csg": ["tree", "model", "evaluation", "parts", "between_samples", "level_set text", "device"],
     "scene": ["fields", "content", "visibility", "light", "device", "lighting", "last_picture uneven", "renderer"],
 }
 
