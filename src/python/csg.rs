@@ -14,15 +14,16 @@ use crate::csg::parts::solid::Solid;
 use crate::csg::text::graph::{Graph, Node};
 use crate::csg::text::language;
 use crate::csg::text::shader::shader;
+use crate::csg::text::volume_image::image;
 use crate::csg::tree::kind::{Blend, Op};
 use crate::csg::tree::profile::Profile;
 use crate::csg::tree::region::Rule;
-use crate::csg::tree::volume_leaf::VolumeLeaf;
+use crate::csg::tree::volume_leaf::{DividedCells, VolumeLeaf};
 use crate::error::{Error, ShapeError};
 use crate::shader_text::translation::Language;
 use crate::volume::Trilinear;
 use glam::DVec3;
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray3};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::collections::HashSet;
@@ -107,16 +108,24 @@ impl Shape {
     }
 
     #[staticmethod]
-    #[pyo3(signature = (distances, lower, upper, error=None))]
+    #[pyo3(signature = (distances, lower, upper, error=None, divided=None))]
     fn volume(
         distances: PyReadonlyArray3<'_, f32>,
         lower: [f64; 3],
         upper: [f64; 3],
         error: Option<f64>,
+        divided: Option<(PyReadonlyArray1<'_, u64>, PyReadonlyArray1<'_, f32>)>,
     ) -> PyResult<Self> {
         let field = Field::new(&distances, lower, upper)?;
         let view = field.view().map_err(Failure::from)?;
-        let leaf = VolumeLeaf::new(*view.grid(), view.distances().to_vec(), error).map_err(Failure::from)?;
+        let divided = match divided {
+            Some((cells, samples)) => {
+                let cells: Vec<usize> = cells.as_array().iter().map(|&cell| cell as usize).collect();
+                DividedCells::new(view.grid(), &cells, samples.as_array().to_vec()).map_err(Failure::from)?
+            }
+            None => DividedCells::default(),
+        };
+        let leaf = VolumeLeaf::new(*view.grid(), view.distances().to_vec(), divided, error).map_err(Failure::from)?;
         Ok(Self::of(csg::Shape::volume(leaf)))
     }
 
@@ -290,8 +299,10 @@ impl Shape {
         let Some(graph) = py.detach(|| Graph::of(&solid.model)) else { return Ok(None) };
         let nodes = &graph.nodes;
         let value = |node: &Node| node.value().or(node.image().map(|index| index as f64)).unwrap_or(0.0);
-        let images = graph.images.iter();
-        let images = images.map(|volume| volume_array(py, volume.distances().to_vec(), volume.grid().shape));
+        let images = graph.images.iter().map(|volume| {
+            let (values, shape) = image(volume);
+            volume_array(py, values, shape)
+        });
         Ok(Some((
             nodes.iter().map(|node| node.name).collect(),
             nodes.iter().map(|node| node.inputs).collect(),

@@ -164,6 +164,16 @@ def test_a_baked_volume_is_an_image_of_16_bits(tmp_path):
         fb.load(tmp_path / "part.3mf")
 
 
+def test_divided_cells_of_a_baked_distance_are_in_its_image(tmp_path):
+    shape = (fb.sphere(0.6) ^ fb.box(1)).offset(0.1, resolution=24)
+    shape.save(tmp_path / "part.3mf", implicit=True)
+    lower, upper = shape.bounds
+    points = np.random.default_rng(1).uniform(lower - 0.1, upper + 0.1, (20_000, 3))
+    found, _ = evaluated(tmp_path / "part.3mf", points)
+    step = 2 * np.abs(shape.distance(points)).max() / 65535
+    assert np.abs(found - shape.distance(points)).max() <= 2 * step + 1e-6  # the field is float32
+
+
 @pytest.fixture
 def warnings_of_lib3mf():
     """A function that reads a file in strict mode, and returns the warnings."""

@@ -75,6 +75,24 @@ def test_a_baked_distance_states_its_error():
         grown.to_sexpr()
 
 
+def test_a_baked_offset_is_exact_at_concave_edges(device):
+    """Between two balls the nearest ball changes, which linear interpolation between voxels rounds by 0.13 voxels."""
+    axis = np.array([2.0, 1.0, 0.4]) / np.linalg.norm([2.0, 1.0, 0.4])
+    centers, voxel = np.array([0.3 * axis, -0.3 * axis]), (1.6 + 0.6 * axis[0]) / 64
+    balls = [fb.sphere(0.8).translate(center) for center in centers]
+    # A chamfer so narrow that it changes nothing, but the field is no distance.
+    baked = balls[0].union(balls[1], chamfer=1e-9).offset(0.2, resolution=64)
+    around = np.random.default_rng(1).normal(size=(200_000, 3))
+    points = centers[0] + around / np.linalg.norm(around, axis=1, keepdims=True)
+    points = points[(points @ axis >= 0) & (points @ axis < 2 * voxel)]
+    assert len(points) > 2000
+    assert np.abs(baked.distance(points, device=device)).max() <= 0.05 * voxel
+    anywhere = np.random.default_rng(2).uniform(*baked.bounds, (50_000, 3))
+    exact = np.linalg.norm(anywhere[:, None] - centers, axis=2).min(axis=1) - 1
+    error = np.abs(baked.distance(anywhere, device=device) - exact)
+    assert error[exact >= -0.2].max() <= baked.field_error
+
+
 def test_a_resolution_bakes_any_shape():
     """A shifted intersection keeps its edges, and its baked distance rounds them."""
     body, corner = fb.slab(2, "x") & fb.slab(2, "y") & fb.slab(2, "z"), np.full((1, 3), 1.1)

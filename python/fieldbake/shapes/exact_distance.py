@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,20 @@ BORDER = 3
 #: corners from the centre. A distance changes by at most the length of a step.
 INTERPOLATION = math.sqrt(3) / 2
 
+#: Parts of a divided cell along each axis, as in the core, and the positions of its samples in parts, x fastest.
+PARTS = 4
+LATTICE = np.stack(np.meshgrid(*[np.arange(PARTS + 1)] * 3, indexing="ij")[::-1], axis=-1).reshape(-1, 3)
+
+#: The corners of a cell, x fastest, and the weights of linear interpolation at the positions of `LATTICE`, (125, 8).
+CORNERS = LATTICE[(LATTICE % PARTS == 0).all(axis=1)] // PARTS
+WEIGHTS = np.where(CORNERS, LATTICE[:, None] / PARTS, 1 - LATTICE[:, None] / PARTS).prod(axis=2)
+
+#: A cell is divided if linear interpolation is off by more than this at a middle of its edges, faces or body, voxels.
+DIVISION_ERROR = 0.02
+
+#: Cells whose distances are evaluated together.
+BATCH = 20_000
+
 #: Faces of the contour at which its error is evaluated.
 FACES = 100_000
 
@@ -29,6 +45,7 @@ FACES = 100_000
 def distance_leaf(
     core: _core.Shape,
     name: str,
+    levels: Iterable[float],
     reach: float,
     resolution: int,
     bounds: NDArray[np.float64] | None = None,
@@ -36,7 +53,8 @@ def distance_leaf(
     """Bake the signed distance from the surface of a shape.
 
     The contour of the shape is extracted with sharp edges. Each voxel has the distance to the nearest point of the
-    contour, computed in float64, and the leaf interpolates it linearly.
+    contour, computed in float64, and the leaf interpolates it linearly. Cells at a level set where this is not
+    accurate, for instance where the nearest part of the surface changes, are divided into 4 x 4 x 4 parts.
 
     Parameters
     ----------
@@ -44,6 +62,8 @@ def distance_leaf(
         The shape.
     name : str
         The method of the caller, for messages.
+    levels : iterable of float
+        Distances of the level sets that must be accurate, world units.
     reach : float
         Largest distance outside the surface at which the field is used, world units.
     resolution : int
@@ -62,10 +82,12 @@ def distance_leaf(
     mesh = extract(surface, 0.0, ShapeSource(core), sharp=True, capped=True)
     if not len(mesh.faces):
         raise ShapeError(f"{name}: the shape has no surface at {resolution} voxels; raise resolution=")
-    distances, _ = _core.bake(mesh._core, grid.lower, grid.upper, grid.shape, device="cpu")
+    samples, _ = _core.bake(mesh._core, grid.lower, grid.upper, grid.shape, device="cpu")
+    distances = np.asarray(samples)
+    divided = _divided_cells(mesh._core, grid, distances, levels)
     voxel = max(grid.spacing)
     error = INTERPOLATION * voxel + _contour_error(core, mesh.vertices, mesh.faces.astype(np.int64), voxel)
-    return _core.Shape.volume(np.asarray(distances), grid.lower, grid.upper, error)
+    return _core.Shape.volume(distances, grid.lower, grid.upper, error, divided)
 
 
 def _box(core: _core.Shape, name: str) -> NDArray[np.float64]:
@@ -87,6 +109,65 @@ def _grid(box: NDArray[np.float64], reach: float, resolution: int) -> Grid:
     x, y, z = counts.astype(int).tolist()
     lower, upper = (middle - half).tolist(), (middle + half).tolist()
     return check_count(Grid((lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2]), (x, y, z)))
+
+
+def _divided_cells(
+    mesh: _core.Mesh, grid: Grid, distances: NDArray[np.float32], levels: Iterable[float]
+) -> tuple[NDArray[np.uint64], NDArray[np.float32]]:
+    """The numbers (n,) of the cells to divide, x fastest, and their samples (125 n,)."""
+    voxel, counts = max(grid.spacing), np.array(grid.shape) - 1
+    corners = [distances[tuple(slice(i, i + n) for i, n in zip(at, counts, strict=True))] for at in CORNERS.tolist()]
+    low, high = reduce(np.minimum, corners), reduce(np.maximum, corners)
+    is_near = np.zeros(low.shape, bool)
+    for level in levels:
+        is_near |= (low - voxel / 2 <= level) & (level <= high + voxel / 2)
+    is_divided = np.zeros(low.shape, bool)
+    # The middles of the edges, of the faces and of the body.
+    middles = (LATTICE % (PARTS // 2) == 0).all(axis=1) & (LATTICE % PARTS > 0).any(axis=1)
+    for cells in _batches(np.argwhere(is_near)):
+        exact = _sampled(mesh, grid, cells, LATTICE[middles])
+        error = np.abs(exact - _at_corners(distances, cells) @ WEIGHTS[middles].T).max(axis=1)
+        is_divided[tuple(cells[error > DIVISION_ERROR * voxel].T)] = True
+    samples = [np.zeros((0, len(LATTICE)), np.float32)]
+    for cells in _batches(np.argwhere(is_divided.T)[:, ::-1]):
+        exact = _sampled(mesh, grid, cells, LATTICE)
+        # The field is continuous: it is linear on the faces and edges that a whole cell shares.
+        linear = _at_corners(distances, cells) @ WEIGHTS.T
+        exact = np.where(_is_shared_by_whole_cells(is_divided, cells), linear, exact)
+        samples.append(exact.astype(np.float32))
+    numbers = np.flatnonzero(is_divided.T).astype(np.uint64)
+    return numbers, np.concatenate(samples).ravel()
+
+
+def _batches(cells: NDArray[np.int64]) -> Iterable[NDArray[np.int64]]:
+    return (cells[first : first + BATCH] for first in range(0, len(cells), BATCH))
+
+
+def _sampled(mesh: _core.Mesh, grid: Grid, cells: NDArray[np.int64], offsets: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Signed distances (n, k) at k positions in each of n cells; offsets from the first corner are in parts."""
+    places = PARTS * cells[:, None] + offsets
+    sides = PARTS * np.array(grid.shape)
+    keys, rows = np.unique(np.ravel_multi_index(tuple(places.reshape(-1, 3).T), tuple(sides)), return_inverse=True)
+    unique = np.stack(np.unravel_index(keys, tuple(sides)), axis=1)
+    points = np.array(grid.lower) + np.array(grid.spacing) * (unique / PARTS + 0.5)
+    found = np.asarray(_core.signed_distance(mesh, points, device="cpu"), np.float32)
+    return found[rows].reshape(places.shape[:2])
+
+
+def _at_corners(distances: NDArray[np.float32], cells: NDArray[np.int64]) -> NDArray[np.float32]:
+    """The samples (n, 8) at the corners of cells."""
+    return distances[tuple(np.moveaxis(cells[:, None] + CORNERS, 2, 0))]
+
+
+def _is_shared_by_whole_cells(is_divided: NDArray[np.bool_], cells: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether each sample (n, 125) lies on a face or edge of a cell that is not divided, inside the grid."""
+    padded = np.pad(is_divided, 1, constant_values=True)
+    shared = np.zeros((len(cells), len(LATTICE)), bool)
+    ends = np.where(LATTICE == 0, -1, np.where(LATTICE == PARTS, 1, 0))
+    for step in np.argwhere(np.ones((3, 3, 3))) - 1:
+        is_whole = ~padded[tuple((cells + 1 + step).T)]
+        shared |= is_whole[:, None] & ((step == 0) | (step == ends)).all(axis=1)
+    return shared
 
 
 def _contour_error(core: _core.Shape, vertices: NDArray[np.float64], faces: NDArray[np.int64], voxel: float) -> float:

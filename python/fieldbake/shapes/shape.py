@@ -271,7 +271,7 @@ class Shape(Field):
         if scaled is not None and resolution is None:
             factor, operand = scaled
             return Shape._wrap(operand).offset(amount).times(factor)
-        return self._distance("offset", max(amount, 0.0), resolution)._changed("offset", amount)
+        return self._distance("offset", (amount,), resolution)._changed("offset", amount)
 
     def shell(self, thickness: float, *, resolution: int | None = None) -> Shape:
         """Replace the solid by a shell about its surface. Half of `thickness`, world units, lies on each side.
@@ -285,14 +285,14 @@ class Shape(Field):
             return Shape._wrap(operand).shell(amount).times(factor)
         if not amount > 0:
             return self._changed("shell", amount)
-        return self._distance("shell", amount / 2, resolution)._changed("shell", amount)
+        return self._distance("shell", (-amount / 2, amount / 2), resolution)._changed("shell", amount)
 
-    def _distance(self, name: str, reach: float, resolution: int | None) -> Shape:
-        """The shape itself if its field is a distance, else a leaf with its baked distance up to `reach`."""
+    def _distance(self, name: str, levels: tuple[float, ...], resolution: int | None) -> Shape:
+        """The shape itself if its field is a distance, else a leaf with its baked distance at `levels`."""
         if resolution is None and self._core.field_kind == "distance":
             return self
         count = _count(exact_distance.RESOLUTION if resolution is None else resolution)
-        return Shape._wrap(exact_distance.distance_leaf(self._core, name, reach, count))
+        return Shape._wrap(exact_distance.distance_leaf(self._core, name, levels, max(*levels, 0.0), count))
 
     def times(self, factor: float, *, add: float = 0.0) -> Shape:
         """Multiply the field by `factor`, 1e-6 to 1e6, then add `add`. Without `add` the solid stays.
@@ -456,7 +456,7 @@ def combine(
         reach = max(widths)
         box = _joint_box(op, checked, reach)
         checked = [
-            exact_distance.distance_leaf(core, op, reach, count, box) if is_scaled else core
+            exact_distance.distance_leaf(core, op, (0.0,), reach, count, box) if is_scaled else core
             for core, is_scaled in zip(checked, scaled, strict=True)
         ]
     return Shape._wrap(_core.Shape.combine(op, checked, *widths))

@@ -32,6 +32,9 @@ fn edge_values(first: u32) -> vec4f {
     return vec4f(corner_at(first), corner_at(first + 2u));
 }
 
+// Parts of a divided cell along each axis; as PARTS in src/csg/tree/volume_leaf.rs.
+const CELL_PARTS: u32 = 4u;
+
 // A baked field, closed by the faces of its box; see src/csg/tree/volume_leaf.rs.
 fn volume(at: vec3f, first: u32) -> f32 {
     let lower = vec3f(numbers[first], numbers[first + 1u], numbers[first + 2u]);
@@ -39,7 +42,8 @@ fn volume(at: vec3f, first: u32) -> f32 {
     let inverse_spacing = vec3f(numbers[first + 6u], numbers[first + 7u], numbers[first + 8u]);
     let shape = vec3f(numbers[first + 9u], numbers[first + 10u], numbers[first + 11u]);
     let scale = numbers[first + 12u];
-    let samples = first + 13u;
+    let is_divided = numbers[first + 13u] > 0.0;
+    let samples = first + 14u;
 
     let inside = clamp(at, lower, upper);
     let away = at - inside;
@@ -49,22 +53,40 @@ fn volume(at: vec3f, first: u32) -> f32 {
     let last = shape - 1.0;
     let grid = clamp((inside - lower) * inverse_spacing - 0.5, vec3f(0.0), last);
     let cell = min(floor(grid), max(last - 1.0, vec3f(0.0)));
-    let f = grid - cell;
+    let n = vec3u(shape);
     let low = vec3u(cell);
-    let high = vec3u(min(cell + 1.0, last));
-    let nx = u32(shape.x);
-    let nxy = nx * u32(shape.y);
-    let y0 = low.y * nx;
-    let y1 = high.y * nx;
-    let z0 = samples + low.z * nxy;
-    let z1 = samples + high.z * nxy;
-    let x00 = mix_exact(numbers[low.x + y0 + z0], numbers[high.x + y0 + z0], f.x);
-    let x10 = mix_exact(numbers[low.x + y1 + z0], numbers[high.x + y1 + z0], f.x);
-    let x01 = mix_exact(numbers[low.x + y0 + z1], numbers[high.x + y0 + z1], f.x);
-    let x11 = mix_exact(numbers[low.x + y1 + z1], numbers[high.x + y1 + z1], f.x);
-    let stored = mix_exact(mix_exact(x00, x10, f.y), mix_exact(x01, x11, f.y), f.z) * scale;
+    let count = n.x * n.y * n.z;
+    let cells = max(n, vec3u(1u)) - 1u;
+    var block = 0u;
+    if is_divided { block = u32(numbers[samples + count + low.x + cells.x * (low.y + cells.y * low.z)]); }
+    var stored = 0.0;
+    if block > 0u {
+        let part_at = (grid - cell) * f32(CELL_PARTS);
+        let part = min(floor(part_at), vec3f(f32(CELL_PARTS - 1u)));
+        let blocks = samples + count + cells.x * cells.y * cells.z;
+        let side = CELL_PARTS + 1u;
+        let start = blocks + (block - 1u) * side * side * side + dot(vec3u(part), vec3u(1u, side, side * side));
+        stored = trilinear_number(start, vec3u(1u, side, side * side), part_at - part);
+    } else {
+        let strides = vec3u(1u, n.x, n.x * n.y);
+        stored = trilinear_number(samples + dot(low, strides), strides * vec3u(n > vec3u(1u)), grid - cell);
+    }
+    stored *= scale;
     let s = max(stored, 0.0);
     return select(max(stored, to_face), sqrt(outside + s * s), outside > 0.0);
+}
+
+// The trilinear mean of eight numbers: the one at `first`, and those a step further along each axis.
+fn trilinear_number(first: u32, steps: vec3u, f: vec3f) -> f32 {
+    let second = first + steps.z;
+    return mix_exact(bilinear_number(first, steps, f), bilinear_number(second, steps, f), f.z);
+}
+
+fn bilinear_number(first: u32, steps: vec3u, f: vec3f) -> f32 {
+    let second = first + steps.y;
+    let low = mix_exact(numbers[first], numbers[first + steps.x], f.x);
+    let high = mix_exact(numbers[second], numbers[second + steps.x], f.x);
+    return mix_exact(low, high, f.y);
 }
 
 fn mix_exact(a: f32, b: f32, fraction: f32) -> f32 {

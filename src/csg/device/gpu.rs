@@ -167,8 +167,12 @@ fn encoded(leaf: &PlacedLeaf<f32>, numbers: &mut Vec<f32>) -> CsgLeaf {
         LeafField::Volume(volume, placed) => {
             numbers.extend(placed.lower.iter().chain(&placed.upper).chain(&placed.inverse_spacing));
             numbers.extend(placed.shape.map(|n| n as f32));
-            numbers.push(placed.scale);
+            let divided = volume.divided();
+            // An index of a block is exact in f32, because a table of its samples has fewer than 2^31 numbers.
+            numbers.extend([placed.scale, if divided.blocks().is_empty() { 0.0 } else { 1.0 }]);
             numbers.extend(volume.distances());
+            numbers.extend(divided.blocks().iter().map(|block| *block as f32));
+            numbers.extend(divided.samples());
         }
         _ => {}
     }

@@ -1,7 +1,7 @@
 //! The field of a baked volume at a point in local units ([`crate::csg::tree::volume_leaf`]).
 
 use super::scalar::Scalar;
-use crate::csg::tree::volume_leaf::VolumeLeaf;
+use crate::csg::tree::volume_leaf::{PARTS, VolumeLeaf};
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -46,7 +46,7 @@ impl<F: Scalar> PlacedVolume<F> {
         }
         let stored = match F::image_sample(volume, at) {
             Some(sample) => sample,
-            None => self.interpolated(volume.distances(), at),
+            None => self.interpolated(volume, at),
         };
         let stored = stored * self.scale;
         let beyond = || {
@@ -59,23 +59,40 @@ impl<F: Scalar> PlacedVolume<F> {
 
     /// The trilinear field at a position in voxels from the centre of the first one.
     #[inline(always)]
-    fn interpolated(&self, distances: &[f32], at: [F; 3]) -> F {
+    fn interpolated(&self, volume: &VolumeLeaf, at: [F; 3]) -> F {
         let mut cell = [0usize; 3];
         let mut fraction = [F::default(); 3];
         for axis in 0..3 {
-            // Truncation rounds a non-negative value down. The last centre belongs to the cell before it.
-            cell[axis] = (at[axis].widen() as usize).min(self.shape[axis].saturating_sub(2));
-            fraction[axis] = at[axis] - F::of(cell[axis] as f64);
+            // The last centre belongs to the cell before it.
+            (cell[axis], fraction[axis]) = split(at[axis], self.shape[axis].saturating_sub(2));
         }
         let [nx, ny, _] = self.shape;
+        let [x, y, z] = cell;
+        if !volume.divided().blocks().is_empty()
+            && let Some(samples) = volume.divided().samples_of(x + (nx - 1) * (y + (ny - 1) * z))
+        {
+            let side = PARTS + 1;
+            let [(x, fx), (y, fy), (z, fz)] = fraction.map(|f| split(f * F::of(PARTS as f64), PARTS - 1));
+            return trilinear(samples, x + side * (y + side * z), [1, side, side * side], [fx, fy, fz]);
+        }
         let steps = [0, 1, 2].map(|axis| usize::from(self.shape[axis] > 1));
-        let value = |dx: usize, dy: usize, dz: usize| {
-            let [x, y, z] = [cell[0] + dx * steps[0], cell[1] + dy * steps[1], cell[2] + dz * steps[2]];
-            F::of(f64::from(distances[x + nx * (y + ny * z)]))
-        };
-        let lerp = |a: F, b: F, f: F| a + (b - a) * f;
-        let row = |dy, dz| lerp(value(0, dy, dz), value(1, dy, dz), fraction[0]);
-        let plane = |dz| lerp(row(0, dz), row(1, dz), fraction[1]);
-        lerp(plane(0), plane(1), fraction[2])
+        trilinear(volume.distances(), x + nx * (y + ny * z), [steps[0], nx * steps[1], nx * ny * steps[2]], fraction)
     }
+}
+
+/// The whole part of a non-negative number, at most `last`, and the rest. Truncation rounds down.
+#[inline(always)]
+fn split<F: Scalar>(at: F, last: usize) -> (usize, F) {
+    let whole = (at.widen() as usize).min(last);
+    (whole, at - F::of(whole as f64))
+}
+
+/// The trilinear mean of eight samples: `first`, and those a step further along each axis.
+#[inline(always)]
+fn trilinear<F: Scalar>(samples: &[f32], first: usize, steps: [usize; 3], [fx, fy, fz]: [F; 3]) -> F {
+    let value = |i: usize| F::of(f64::from(samples[i]));
+    let lerp = |a: F, b: F, f: F| a + (b - a) * f;
+    let row = |i: usize| lerp(value(i), value(i + steps[0]), fx);
+    let plane = |i: usize| lerp(row(i), row(i + steps[1]), fy);
+    lerp(plane(first), plane(first + steps[2]), fz)
 }

@@ -8,7 +8,8 @@
 use crate::csg::evaluation::program::{LocalFrame, Program, Stack};
 use crate::csg::evaluation::scalar::Scalar;
 use crate::csg::model::lowered::Model;
-use crate::csg::tree::volume_leaf::VolumeLeaf;
+use crate::csg::text::volume_image::{DIGITS, Layout, reach};
+use crate::csg::tree::volume_leaf::{PARTS, VolumeLeaf};
 use glam::DVec3;
 use rustc_hash::FxHashMap;
 use std::cell::RefCell;
@@ -50,8 +51,8 @@ pub(crate) struct Graph {
     index: FxHashMap<Node, u32>,
     /// The node of the distance.
     pub result: u32,
-    /// The volumes of the nodes `image`, whose inputs are the position in the box of the volume, 0 to 1 along x, y and
-    /// z, and whose value is the trilinear sample.
+    /// The volumes of the nodes `image`, whose inputs are the position in the image of the volume
+    /// ([`crate::csg::text::volume_image`]), 0 to 1 along x, y and z, and whose value is the trilinear sample.
     pub images: Vec<Arc<VolumeLeaf>>,
     /// Whether a branch or an index depended on a symbol.
     is_incomplete: bool,
@@ -261,11 +262,38 @@ impl Scalar for Symbol {
                 graph.images.len() - 1
             })
         });
-        let shape = volume.grid().shape;
-        let share = |axis: usize| (at[axis] + Self::of(0.5)) / Self::of(shape[axis] as f64);
-        let [Self(u), Self(v), Self(w)] = [share(0), share(1), share(2)];
-        let node = Node { name: "image", inputs: [u, v, w, 0], bits: bits as u64 };
-        Some(Self(GRAPH.with_borrow_mut(|graph| graph.add(node))))
+        let layout = Layout::of(volume);
+        let number = |value: usize| Self::of(value as f64);
+        let texel = |at: [Self; 3]| {
+            let share = |axis: usize| (at[axis] + Self::of(0.5)) / number(layout.shape[axis]);
+            let [Self(u), Self(v), Self(w)] = [share(0), share(1), share(2)];
+            let node = Node { name: "image", inputs: [u, v, w, 0], bits: bits as u64 };
+            Self(GRAPH.with_borrow_mut(|graph| graph.add(node)))
+        };
+        let whole = texel(at);
+        if volume.divided().blocks().is_empty() {
+            return Some(whole);
+        }
+        let last = volume.grid().shape.map(|n| number(n.saturating_sub(2)));
+        let cell = [0, 1, 2].map(|axis| at[axis].floor().least(last[axis]));
+        // A texel t has the value (2 t / 65535 - 1) reach.
+        let scale = Self::of((DIGITS - 1) as f64 / 2.0);
+        let digit = |first: usize| {
+            let value = texel([cell[0], cell[1], cell[2] + number(first)]);
+            ((value / Self::of(f64::from(reach(volume))) + Self::of(1.0)) * scale + Self::of(0.5)).floor()
+        };
+        let block = digit(layout.low_digits) + digit(layout.high_digits) * number(DIGITS) - Self::of(1.0);
+        // The whole part of a quotient, and the remainder.
+        let divide = |value: Self, by: usize| {
+            let quotient = ((value + Self::of(0.5)) / number(by)).floor();
+            (quotient, value - quotient * number(by))
+        };
+        let (line, column) = divide(block, layout.columns);
+        let (sheet, row) = divide(line, layout.rows);
+        let first = [column, row, sheet].map(|index| index * number(PARTS + 1));
+        let part = |axis: usize| first[axis] + (at[axis] - cell[axis]) * number(PARTS);
+        let fine = texel([part(0), part(1), part(2) + number(layout.blocks)]);
+        Some(Self::select_less(block, Self::default(), whole, fine))
     }
 
     fn select_less(a: Self, b: Self, then: Self, otherwise: Self) -> Self {

@@ -5,3 +5,4 @@ pub(crate) mod language;
 pub(crate) mod shader;
 pub(crate) mod specialised_kernel;
 pub(crate) mod structure_text;
+pub(crate) mod volume_image;

@@ -5,17 +5,71 @@
 //! `s` is the field at the nearest point of the box. Together this is continuous, and it has the Lipschitz constant of
 //! the trilinear field: outside, the gradient is a mean of the unit vector away from the box and the gradient along it,
 //! which are perpendicular.
+//!
+//! Linear interpolation rounds a distance where the nearest point changes from one part of a surface to another. The
+//! cells of such places may be divided into [`PARTS`] along each axis ([`DividedCells`]).
 
 use crate::error::{ArgumentError, Error};
 use crate::grid::Grid;
 use crate::volume::FieldView;
 use glam::DVec3;
 
+/// Number of parts of a divided cell along each axis, and of its samples.
+pub(crate) const PARTS: usize = 4;
+pub(crate) const PART_SAMPLES: usize = (PARTS + 1).pow(3);
+
+/// Finer samples in some of the cells between the centres of voxels.
+#[derive(Debug, Default, PartialEq)]
+pub struct DividedCells {
+    /// For each cell, x fastest, the number of its block plus one, or 0. Empty if no cell is divided.
+    blocks: Vec<u32>,
+    /// [`PART_SAMPLES`] of each block, x fastest, from the first corner of the cell to the last one.
+    samples: Vec<f32>,
+}
+
+impl DividedCells {
+    /// Blocks of samples for cells, which are numbered with x fastest.
+    pub fn new(grid: &Grid, cells: &[usize], samples: Vec<f32>) -> Result<Self, Error> {
+        if cells.is_empty() {
+            return Ok(Self::default());
+        }
+        let count = grid.shape.map(|n| n.saturating_sub(1)).iter().product();
+        let mut blocks = vec![0; count];
+        for (block, &cell) in cells.iter().enumerate() {
+            let Some(place) = blocks.get_mut(cell) else {
+                return Err(ArgumentError::new("cells", format!("has {cell}, but the grid has {count} cells")).into());
+            };
+            *place = block as u32 + 1;
+        }
+        if samples.len() != cells.len() * PART_SAMPLES {
+            let problem = format!("has {} numbers, expected {PART_SAMPLES} for each cell", samples.len());
+            return Err(ArgumentError::new("samples", problem).into());
+        }
+        Ok(Self { blocks, samples })
+    }
+
+    /// The samples of a cell, if it is divided.
+    #[inline(always)]
+    pub fn samples_of(&self, cell: usize) -> Option<&[f32; PART_SAMPLES]> {
+        let block = self.blocks.get(cell)?.checked_sub(1)? as usize;
+        self.samples.as_chunks().0.get(block)
+    }
+
+    pub fn blocks(&self) -> &[u32] {
+        &self.blocks
+    }
+
+    pub fn samples(&self) -> &[f32] {
+        &self.samples
+    }
+}
+
 /// Distances on a grid, x fastest, in their own units.
 #[derive(Debug, PartialEq)]
 pub struct VolumeLeaf {
     grid: Grid,
     distances: Vec<f32>,
+    divided: DividedCells,
     lipschitz: f64,
     /// Box of the surface: no cell outside it has a sample at or below zero.
     surface: [DVec3; 2],
@@ -25,12 +79,13 @@ pub struct VolumeLeaf {
 }
 
 impl VolumeLeaf {
-    pub fn new(grid: Grid, distances: Vec<f32>, error: Option<f64>) -> Result<Self, Error> {
+    pub fn new(grid: Grid, distances: Vec<f32>, divided: DividedCells, error: Option<f64>) -> Result<Self, Error> {
         FieldView::new(grid, &distances)?;
-        if let Some(i) = distances.iter().position(|d| !d.is_finite()) {
-            return Err(
-                ArgumentError::new("volume", format!("sample {i} is {}, expected a number", distances[i])).into()
-            );
+        for samples in [&distances, &divided.samples] {
+            if let Some(i) = samples.iter().position(|d| !d.is_finite()) {
+                let problem = format!("sample {i} is {}, expected a number", samples[i]);
+                return Err(ArgumentError::new("volume", problem).into());
+            }
         }
         let [nx, ny, nz] = grid.shape;
         let h = grid.spacing();
@@ -55,6 +110,23 @@ impl VolumeLeaf {
                 }
             }
         }
+        let cells = grid.shape.map(|n| n.saturating_sub(1));
+        for (cell, _) in divided.blocks.iter().enumerate().filter(|(_, block)| **block > 0) {
+            let Some(samples) = divided.samples_of(cell) else { continue };
+            let first = [cell % cells[0], cell / cells[0] % cells[1], cell / cells[0] / cells[1]];
+            if samples.iter().any(|sample| *sample <= 0.0) {
+                for axis in 0..3 {
+                    low[axis] = low[axis].min(first[axis]);
+                    high[axis] = high[axis].max(first[axis] + 1);
+                }
+            }
+            for (axis, step) in [1, PARTS + 1, (PARTS + 1).pow(2)].into_iter().enumerate() {
+                for (i, here) in samples.iter().enumerate().filter(|(i, _)| i / step % (PARTS + 1) < PARTS) {
+                    let change = (f64::from(samples[i + step]) - f64::from(*here)).abs();
+                    steepest[axis] = steepest[axis].max(change * PARTS as f64);
+                }
+            }
+        }
         // Each derivative of the trilinear field is a mean of differences along its axis.
         let lipschitz = (DVec3::from_array(steepest) / h).length().max(1.0);
         let surface = if low[0] == usize::MAX {
@@ -66,7 +138,7 @@ impl VolumeLeaf {
             // The surface ends before the next centre, which is outside.
             [(centre(low) - h).max(grid.lower), (centre(high) + h).min(grid.upper)]
         };
-        Ok(Self { grid, distances, lipschitz, surface, error })
+        Ok(Self { grid, distances, divided, lipschitz, surface, error })
     }
 
     pub fn grid(&self) -> &Grid {
@@ -75,6 +147,10 @@ impl VolumeLeaf {
 
     pub fn distances(&self) -> &[f32] {
         &self.distances
+    }
+
+    pub fn divided(&self) -> &DividedCells {
+        &self.divided
     }
 
     pub fn error(&self) -> Option<f64> {
