@@ -35,6 +35,10 @@ WEIGHTS = np.where(CORNERS, LATTICE[:, None] / PARTS, 1 - LATTICE[:, None] / PAR
 #: A cell is divided if linear interpolation is off by more than this at a middle of its edges, faces or body, voxels.
 DIVISION_ERROR = 0.02
 
+#: Largest correction of a distance for the error of the contour, voxels. It is of that size only at features that the
+#: contour does not resolve.
+CORRECTION = 0.25
+
 #: Cells whose distances are evaluated together.
 BATCH = 20_000
 
@@ -53,8 +57,9 @@ def distance_leaf(
     """Bake the signed distance from the surface of a shape.
 
     The contour of the shape is extracted with sharp edges. Each voxel has the distance to the nearest point of the
-    contour, computed in float64, and the leaf interpolates it linearly. Cells at a level set where this is not
-    accurate, for instance where the nearest part of the surface changes, are divided into 4 x 4 x 4 parts.
+    contour, computed in float64, and the leaf interpolates it linearly. At the level sets, the distances are corrected
+    for the error of the contour, and cells where linear interpolation is not accurate, for instance where the nearest
+    part of the surface changes, are divided into 4 x 4 x 4 parts.
 
     Parameters
     ----------
@@ -83,9 +88,8 @@ def distance_leaf(
     if not len(mesh.faces):
         raise ShapeError(f"{name}: the shape has no surface at {resolution} voxels; raise resolution=")
     samples, _ = _core.bake(mesh._core, grid.lower, grid.upper, grid.shape, device="cpu")
-    distances = np.asarray(samples)
-    divided = _divided_cells(mesh._core, grid, distances, levels)
-    voxel = max(grid.spacing)
+    distances, voxel = np.array(samples, order="F"), max(grid.spacing)
+    divided = _Distance(core, mesh._core, grid).divide(distances, levels)
     error = INTERPOLATION * voxel + _contour_error(core, mesh.vertices, mesh.faces.astype(np.int64), voxel)
     return _core.Shape.volume(distances, grid.lower, grid.upper, error, divided)
 
@@ -111,52 +115,75 @@ def _grid(box: NDArray[np.float64], reach: float, resolution: int) -> Grid:
     return check_count(Grid((lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2]), (x, y, z)))
 
 
-def _divided_cells(
-    mesh: _core.Mesh, grid: Grid, distances: NDArray[np.float32], levels: Iterable[float]
-) -> tuple[NDArray[np.uint64], NDArray[np.float32]]:
-    """The numbers (n,) of the cells to divide, x fastest, and their samples (125 n,)."""
-    voxel, counts = max(grid.spacing), np.array(grid.shape) - 1
+class _Distance:
+    """The distance from the surface of a shape, by the nearest point of its contour."""
+
+    def __init__(self, core: _core.Shape, contour: _core.Mesh, grid: Grid) -> None:
+        self._core, self._contour, self._grid = core, contour, grid
+        self._voxel = max(grid.spacing)
+
+    def divide(
+        self, distances: NDArray[np.float32], levels: Iterable[float]
+    ) -> tuple[NDArray[np.uint64], NDArray[np.float32]]:
+        """Correct the samples at level sets, and return the numbers (n,) of the cells to divide and their samples.
+
+        Cells are numbered with x fastest. The samples (125 n,) of a divided cell lie at quarters of its sides.
+        """
+        is_near = _is_near(distances, levels, self._voxel / 2)
+        is_divided = np.zeros(is_near.shape, bool)
+        # The corners, and the middles of the edges, of the faces and of the body.
+        halves = (LATTICE % (PARTS // 2) == 0).all(axis=1)
+        is_corner = (LATTICE[halves] % PARTS == 0).all(axis=1)
+        for cells in _batches(np.argwhere(is_near)):
+            exact = self._at(cells, LATTICE[halves])
+            x, y, z = np.moveaxis(cells[:, None] + CORNERS, 2, 0)
+            distances[x, y, z] = exact[:, is_corner]
+            error = np.abs(exact - exact[:, is_corner] @ WEIGHTS[halves].T).max(axis=1)
+            is_divided[tuple(cells[error > DIVISION_ERROR * self._voxel].T)] = True
+        samples = [np.zeros((0, len(LATTICE)), np.float32)]
+        for cells in _batches(np.argwhere(is_divided.T)[:, ::-1]):
+            # The field is continuous: it is linear on the faces and edges that a whole cell shares.
+            linear = _at_corners(distances, cells) @ WEIGHTS.T
+            exact = np.where(_is_shared_by_whole_cells(is_divided, cells), linear, self._at(cells, LATTICE))
+            samples.append(exact.astype(np.float32))
+        return np.flatnonzero(is_divided.T).astype(np.uint64), np.concatenate(samples).ravel()
+
+    def _at(self, cells: NDArray[np.int64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Signed distances (n, k) at k positions in each of n cells; offsets from the first corner are in parts."""
+        places = PARTS * cells[:, None] + offsets
+        x, y, z = (PARTS * n for n in self._grid.shape)
+        keys, rows = np.unique(np.ravel_multi_index(np.moveaxis(places, 2, 0), (x, y, z)), return_inverse=True)
+        unique = np.stack(np.unravel_index(keys, (x, y, z)), axis=1)
+        points = np.array(self._grid.lower) + np.array(self._grid.spacing) * (unique / PARTS + 0.5)
+        found, _, feet, *_ = _core.query(self._contour, points, device="cpu")
+        # The nearest point of the contour lies off the surface, to first order by the field over its slope.
+        slopes = np.linalg.norm(self._core.gradient(feet), axis=1)
+        beyond = self._core.distance(feet, "cpu") / np.maximum(slopes, 1e-6)
+        corrected = found + np.clip(beyond, -CORRECTION * self._voxel, CORRECTION * self._voxel)
+        at_places: NDArray[np.float64] = corrected[rows]
+        return at_places.reshape(places.shape[:2])
+
+
+def _is_near(distances: NDArray[np.float32], levels: Iterable[float], margin: float) -> NDArray[np.bool_]:
+    """Whether the field of each cell may have one of the values."""
+    counts = np.array(distances.shape) - 1
     corners = [distances[tuple(slice(i, i + n) for i, n in zip(at, counts, strict=True))] for at in CORNERS.tolist()]
-    low, high = reduce(np.minimum, corners), reduce(np.maximum, corners)
+    low, high = reduce(np.minimum, corners) - margin, reduce(np.maximum, corners) + margin
     is_near = np.zeros(low.shape, bool)
     for level in levels:
-        is_near |= (low - voxel / 2 <= level) & (level <= high + voxel / 2)
-    is_divided = np.zeros(low.shape, bool)
-    # The middles of the edges, of the faces and of the body.
-    middles = (LATTICE % (PARTS // 2) == 0).all(axis=1) & (LATTICE % PARTS > 0).any(axis=1)
-    for cells in _batches(np.argwhere(is_near)):
-        exact = _sampled(mesh, grid, cells, LATTICE[middles])
-        error = np.abs(exact - _at_corners(distances, cells) @ WEIGHTS[middles].T).max(axis=1)
-        is_divided[tuple(cells[error > DIVISION_ERROR * voxel].T)] = True
-    samples = [np.zeros((0, len(LATTICE)), np.float32)]
-    for cells in _batches(np.argwhere(is_divided.T)[:, ::-1]):
-        exact = _sampled(mesh, grid, cells, LATTICE)
-        # The field is continuous: it is linear on the faces and edges that a whole cell shares.
-        linear = _at_corners(distances, cells) @ WEIGHTS.T
-        exact = np.where(_is_shared_by_whole_cells(is_divided, cells), linear, exact)
-        samples.append(exact.astype(np.float32))
-    numbers = np.flatnonzero(is_divided.T).astype(np.uint64)
-    return numbers, np.concatenate(samples).ravel()
+        is_near |= (low <= level) & (level <= high)
+    return is_near
 
 
 def _batches(cells: NDArray[np.int64]) -> Iterable[NDArray[np.int64]]:
     return (cells[first : first + BATCH] for first in range(0, len(cells), BATCH))
 
 
-def _sampled(mesh: _core.Mesh, grid: Grid, cells: NDArray[np.int64], offsets: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Signed distances (n, k) at k positions in each of n cells; offsets from the first corner are in parts."""
-    places = PARTS * cells[:, None] + offsets
-    sides = PARTS * np.array(grid.shape)
-    keys, rows = np.unique(np.ravel_multi_index(tuple(places.reshape(-1, 3).T), tuple(sides)), return_inverse=True)
-    unique = np.stack(np.unravel_index(keys, tuple(sides)), axis=1)
-    points = np.array(grid.lower) + np.array(grid.spacing) * (unique / PARTS + 0.5)
-    found = np.asarray(_core.signed_distance(mesh, points, device="cpu"), np.float32)
-    return found[rows].reshape(places.shape[:2])
-
-
 def _at_corners(distances: NDArray[np.float32], cells: NDArray[np.int64]) -> NDArray[np.float32]:
     """The samples (n, 8) at the corners of cells."""
-    return distances[tuple(np.moveaxis(cells[:, None] + CORNERS, 2, 0))]
+    x, y, z = np.moveaxis(cells[:, None] + CORNERS, 2, 0)
+    samples: NDArray[np.float32] = distances[x, y, z]
+    return samples
 
 
 def _is_shared_by_whole_cells(is_divided: NDArray[np.bool_], cells: NDArray[np.int64]) -> NDArray[np.bool_]:
