@@ -35,8 +35,8 @@ WEIGHTS = np.where(CORNERS, LATTICE[:, None] / PARTS, 1 - LATTICE[:, None] / PAR
 #: A cell is divided if linear interpolation is off by more than this at a middle of its edges, faces or body, voxels.
 DIVISION_ERROR = 0.02
 
-#: Largest correction of a distance for the error of the contour, voxels. It is of that size only at features that the
-#: contour does not resolve.
+#: Largest movement of a point of the contour to the surface, voxels. It is longer only at features that the contour
+#: does not resolve.
 CORRECTION = 0.25
 
 #: Cells whose distances are evaluated together.
@@ -156,10 +156,13 @@ class _Distance:
         unique = np.stack(np.unravel_index(keys, (x, y, z)), axis=1)
         points = np.array(self._grid.lower) + np.array(self._grid.spacing) * (unique / PARTS + 0.5)
         found, _, feet, *_ = _core.query(self._contour, points, device="cpu")
-        # The nearest point of the contour lies off the surface, to first order by the field over its slope.
-        slopes = np.linalg.norm(self._core.gradient(feet), axis=1)
-        beyond = self._core.distance(feet, "cpu") / np.maximum(slopes, 1e-6)
-        corrected = found + np.clip(beyond, -CORRECTION * self._voxel, CORRECTION * self._voxel)
+        # A step of Newton's method moves the nearest point of the contour to the surface.
+        slopes = self._core.gradient(feet).astype(np.float64)
+        values = self._core.distance(feet, "cpu").astype(np.float64)
+        moved = feet - (values / np.maximum((slopes**2).sum(axis=1), 1e-12))[:, None] * slopes
+        is_nearer = np.linalg.norm(moved - feet, axis=1) <= CORRECTION * self._voxel
+        is_nearer &= np.abs(self._core.distance(moved, "cpu")) <= np.abs(values) / 4
+        corrected = np.where(is_nearer, np.copysign(np.linalg.norm(points - moved, axis=1), found), found)
         at_places: NDArray[np.float64] = corrected[rows]
         return at_places.reshape(places.shape[:2])
 
