@@ -7,7 +7,6 @@
 @group(0) @binding(8) var<storage, read_write> beam_results: array<BeamResult>;
 
 const TAU: f32 = 6.2831855;
-const WIDE: u32 = 2u;
 
 var<private> needs_edge: bool;
 
@@ -41,8 +40,6 @@ struct Cone {
     // Signed distance of the nearest edge from the axis in radii, from -1 to 1.
     x: f32,
     is_covered: bool,
-    // Fraction of the section beside the occluder that others leave open at its edge; 1 except for wide cones.
-    beside: f32,
 }
 
 // Evaluates a cone past one occluder. Only edges closer to the axis than x_known are relevant. Without `with_edges` a
@@ -50,24 +47,18 @@ struct Cone {
 // shares.
 fn cone_past(occluder: Occluder, beam: Beam, ray: FieldRay, span: vec2f, x_known: f32, with_edges: bool) -> Cone {
     let t_hit = hit_of(occluder, ray);
-    if t_hit < 0.0 && x_known <= 0.0 { return Cone(1.0, false, 1.0); }
+    if t_hit < 0.0 && x_known <= 0.0 { return Cone(1.0, false); }
     let deepest = nearest_edge(beam, occluder.index, ray, x_known, span, t_hit);
-    if t_hit < 0.0 { return Cone(deepest.x, false, 1.0); }
-    if deepest.x <= -1.0 { return Cone(-1.0, true, 1.0); }
+    if t_hit < 0.0 { return Cone(deepest.x, false); }
+    if deepest.x <= -1.0 { return Cone(-1.0, true); }
     // A disc with a blocked axis that no occluder covers is divided, so its own fraction is not used.
-    if beam.is_coarse == 0u { return Cone(deepest.x, false, 1.0); }
+    if beam.is_coarse == 0u { return Cone(deepest.x, false); }
     if !with_edges {
         needs_edge = true;
-        return Cone(-1.0, false, 1.0);
+        return Cone(-1.0, false);
     }
-    let past = largest_clearances_past(occluder, beam, ray, deepest);
-    if HAS_WIDE && beam.is_coarse == WIDE {
-        let fade = 1.0 - (beam.t_max - t_hit) / (END_FADE * beam.slope * beam.t_max);
-        var beside = 1.0;
-        if past.x > 0.0 { beside = past.y / past.x; }
-        return Cone(max(past.x, fade) * (1.0 + deepest.x) - 1.0, false, max(beside, fade));
-    }
-    return Cone(past.y * (1.0 + deepest.x) - 1.0, false, 1.0);
+    let clearance = largest_clearance_past(occluder, beam, ray, deepest);
+    return Cone(clearance * (1.0 + deepest.x) - 1.0, false);
 }
 
 // The interval of a cone in which the surface of an occluder may come within `x_known` radii of the axis.
@@ -84,15 +75,14 @@ fn cone_span(occluder: Occluder, beam: Beam, ray: FieldRay, x_known: f32) -> vec
     return clip(ray.origin, ray.direction, lower, upper, occluder.part + vec2f(occluder.skip, 0.0));
 }
 
-// The largest clearances of rays past the edges of an occluder in radii, from 0 to 1: beside that occluder, and beside
-// all. See `rays_past` in cone.rs.
-fn largest_clearances_past(occluder: Occluder, beam: Beam, ray: FieldRay, deepest: vec2f) -> vec2f {
+// The largest clearance of rays past the edges of an occluder in radii, from 0 to 1. See `rays_past` in cone.rs.
+fn largest_clearance_past(occluder: Occluder, beam: Beam, ray: FieldRay, deepest: vec2f) -> f32 {
     let index = occluder.index;
     let to = &instances[index];
     let t = deepest.y;
     let depth = -deepest.x * beam.slope * t;
     let beyond = PAST_EDGE * depth + 0.5 / length(ray.direction) * (*to).largest_stretch / (*to).least_stretch;
-    if beyond > 2.0 * beam.slope * t { return vec2f(0.0); }
+    if beyond > 2.0 * beam.slope * t { return 0.0; }
     let slope = FULL_CLEARANCE * (beyond * EDGE_COSINE - depth) / t;
     let axes = axes_of(beam.direction);
     let p = ray.origin + t * ray.direction;
@@ -104,14 +94,14 @@ fn largest_clearances_past(occluder: Occluder, beam: Beam, ray: FieldRay, deepes
         let q = p + field_direction(index, beyond * aside);
         bounds[i] = min(across(index, field_distance(fields[(*to).field], q), q) / (slope * t), 1.0);
     }
-    var most = vec2f(0.0);
+    var most = 0.0;
     for (var round = 0u; round < EDGE_DIRECTIONS; round++) {
         var first = 0u;
         for (var i = 1u; i < EDGE_DIRECTIONS; i++) {
             if bounds[i] > bounds[first] { first = i; }
         }
         let bound = bounds[first];
-        if bound <= most.y { break; }
+        if bound <= most { break; }
         bounds[first] = 0.0;
         let angle = f32(first) * (TAU / f32(EDGE_DIRECTIONS));
         var past = beam;
@@ -123,15 +113,15 @@ fn largest_clearances_past(occluder: Occluder, beam: Beam, ray: FieldRay, deepes
         past.direction /= longer;
         past.t_max = min(beam.t_max * longer, FAR_T);
         let was_far = is_far;
-        most = max(most, min(vec2f(bound), clearances_along(past, index, most.y)));
+        most = max(most, min(bound, clearance_along(past, index, most)));
         is_far = was_far;
     }
     return most;
 }
 
-// The least clearances of the axis of a narrow cone in radii, from 0 to 1: beside the occluder `past`, and beside the
-// others that are opaque too. The search ends if the second one is at most `least`.
-fn clearances_along(beam: Beam, past: u32, least: f32) -> vec2f {
+// The least clearance of the axis of a narrow cone in radii, from 0 to 1: beside the occluder `past`, and beside the
+// others that are opaque. The search ends if it is at most `least`.
+fn clearance_along(beam: Beam, past: u32, least: f32) -> f32 {
     var own = 1.0;
     var others = 1.0;
     var is_own_found = false;
@@ -154,7 +144,7 @@ fn clearances_along(beam: Beam, past: u32, least: f32) -> vec2f {
         if is_own { own = clearance; } else { others = clearance; }
         if is_own_found && min(own, others) <= least { break; }
     }
-    return vec2f(own, min(own, others));
+    return min(own, others);
 }
 
 // A march along the axis of a cone past one occluder.
@@ -162,9 +152,6 @@ struct March {
     // The nearest edge so far: see `nearest_edge`.
     nearest: vec2f,
     t: f32,
-    // The step that led to t, and the clearance before that step.
-    step: f32,
-    before: f32,
     end: f32,
     // Half a voxel, scene units.
     least_step: f32,
@@ -172,42 +159,19 @@ struct March {
     pace: f32,
     // Whether the march is inside the occluder.
     is_blocked: bool,
-    is_wide: bool,
     is_on: bool,
     // Whether a narrow cone reached the end.
     is_past: bool,
 }
 
-// Takes the step from the point at t, where the field has this distance, the axis this clearance and the cone this
-// radius.
-fn advance(march: ptr<function, March>, distance: f32, clear: f32, radius: f32, slope: f32) {
+// Takes the step from the point at t, where the field has this distance and the cone this radius.
+fn advance(march: ptr<function, March>, distance: f32, radius: f32) {
     let at = *march;
-    if HAS_WIDE && at.is_wide {
-        let along = (at.before * at.before - clear * clear + at.step * at.step) / (2.0 * at.step);
-        if at.step > 0.0 && at.step <= at.before && along > 0.0 && along < at.step {
-            // Closest approach within the step, see `beside_wide` in cone.rs.
-            let closest = sqrt(max(at.before * at.before - along * along, 0.0));
-            (*march).nearest.x = min(at.nearest.x, closest / (slope * (at.t - at.step + along)));
-        }
-        if at.t >= at.end {
-            (*march).is_on = false;
-            return;
-        }
-        (*march).before = clear;
-    }
     var step = select(distance, -distance, at.is_blocked) * at.pace;
     if !at.is_blocked && step < at.least_step { (*march).nearest.y = 0.0; }
     // Near a narrow cone, half steps find the closest approach to 3 %.
-    if at.is_wide { step = max(step, WIDE_STEP * radius); }
-    else if at.is_blocked || step < 2.0 * radius { step *= 0.5; }
+    if at.is_blocked || step < 2.0 * radius { step *= 0.5; }
     step = max(step, at.least_step);
-    // A wide cone is evaluated at its end, see `beside_wide` in cone.rs.
-    if at.is_wide && at.t + step >= at.end {
-        (*march).step = at.end - at.t;
-        (*march).t = at.end;
-        return;
-    }
-    (*march).step = step;
     (*march).t = at.t + step;
     if at.t + step >= at.end {
         (*march).is_on = false;
@@ -232,7 +196,6 @@ fn nearest_edge(beam: Beam, index: u32, ray: FieldRay, x_known: f32, span: vec2f
     march.pace = 1.0 / length(local_direction(index, beam.direction));
     march.end = span.y;
     march.is_blocked = is_blocked;
-    march.is_wide = HAS_WIDE && beam.is_coarse == WIDE && !is_blocked;
     march.is_on = true;
     march.nearest = vec2f(select(x_known, 0.0, is_blocked), t_hit);
     // Immediately behind the surface the field is below zero.
@@ -253,7 +216,7 @@ fn nearest_edge(beam: Beam, index: u32, ray: FieldRay, x_known: f32, span: vec2f
             if is_blocked && distance >= 0.0 { march.is_on = false; }
             is_near = march.is_on && (distance * stretch < march.nearest.x * radius || is_blocked);
             if is_near || !march.is_on { break; }
-            advance(&march, distance, distance * stretch, radius, beam.slope);
+            advance(&march, distance, radius);
         }
         if !is_near { break; }
         visits++;
@@ -263,10 +226,10 @@ fn nearest_edge(beam: Beam, index: u32, ray: FieldRay, x_known: f32, span: vec2f
         let x = clear / radius;
         if x < march.nearest.x { march.nearest = vec2f(x, select(march.nearest.y, march.t, is_blocked)); }
         if x <= -1.0 || (!is_blocked && (x <= 0.0 || (x < 1.0 && is_whole_disc))) { break; }
-        advance(&march, distance, clear, radius, beam.slope);
+        advance(&march, distance, radius);
     }
     steps += rounds;
-    if !is_blocked && !march.is_wide && !march.is_past { march.nearest.y = 0.0; }
+    if !is_blocked && !march.is_past { march.nearest.y = 0.0; }
     return march.nearest;
 }
 
@@ -311,72 +274,6 @@ fn may_intersect(index: u32, beam: Beam) -> bool {
     return aside - slope * along <= (*to).surface_radius * sqrt(1.0 + slope * slope);
 }
 
-// The ball around the surface of an instance beside the axis of a cone of occlusion.
-struct BallBeside {
-    // Lower bound, in radii, of the distance between the axis and the surface.
-    least_x: f32,
-    // Largest fraction of the section that the ball covers.
-    covered: f32,
-    // Ratio of its form factor to the fraction that it covers of all cones from the place.
-    weight: f32,
-}
-
-// Twin of src/scene/light/occlusion.rs.
-fn ball_beside(index: u32, beam: Beam) -> BallBeside {
-    let toward = instances[index].ball_center - beam.p;
-    let squared = dot(toward, toward);
-    let radius = instances[index].ball_radius;
-    if squared <= radius * radius { return BallBeside(-1.0, 1.0, 1.0); }
-    let along = dot(toward, beam.direction);
-    let least_x = ball_edge(along, squared, radius, beam.slope);
-    if least_x >= 1.0 { return BallBeside(least_x, 0.0, 1.0); }
-    let normal = beam.normal;
-    let axes = axes_of(normal);
-    var cones = 0.0;
-    var weights = 0.0;
-    for (var i = 0u; i < AO_CONES; i++) {
-        let angle = f32(i) * (TAU / f32(AO_CONES - 1u));
-        let ring = AO_RING_COSINE * normal + AO_RING_SINE * (cos(angle) * axes.right + sin(angle) * axes.up);
-        let axis = select(ring, normal, i == 0u);
-        let weight = select(AO_RING_COSINE, 1.0, i == 0u);
-        cones += weight * covered_by_ball(dot(toward, axis), squared, radius, beam.slope);
-        weights += weight;
-    }
-    let distance = sqrt(squared);
-    let factor = form_factor(dot(toward, normal) / distance, radius / distance);
-    var weight = MOST_WEIGHT;
-    if factor * weights < MOST_WEIGHT * cones { weight = factor * weights / cones; }
-    // The front of a ball spans about a radius.
-    let within_reach = clamp((beam.t_max + radius - distance) / radius, 0.0, 1.0);
-    return BallBeside(least_x, within_reach * covered_by_ball(along, squared, radius, beam.slope), weight);
-}
-
-// Signed distance of the edge of a ball from the axis of a cone in radii. `along` is the position of its centre along
-// the axis, `squared` its squared distance.
-fn ball_edge(along: f32, squared: f32, radius: f32, slope: f32) -> f32 {
-    let aside = sqrt(max(squared - along * along, 0.0));
-    let tangent = sqrt(squared - radius * radius);
-    if along * tangent + aside * radius < 0.0 { return FAR_T; }
-    return (aside * tangent - along * radius) / (slope * squared);
-}
-
-fn covered_by_ball(along: f32, squared: f32, radius: f32, slope: f32) -> f32 {
-    let far = sqrt(squared);
-    let aside = select(far, sqrt(max(squared - along * along, 0.0)), along > 0.0);
-    let disc = radius * radius / (slope * slope * squared) * visible_share((slope * far - aside) / radius);
-    return min(disc, 1.0 - visible_share(ball_edge(along, squared, radius, slope)));
-}
-
-fn form_factor(height: f32, size: f32) -> f32 {
-    let squared = size * size;
-    let above = squared - height * height;
-    if above <= 0.0 || squared >= 1.0 { return max(height, 0.0) * squared; }
-    let cosine = sqrt(1.0 - squared);
-    let cut = sqrt(above);
-    let rim = acos(clamp(-height * cosine / (size * sqrt(1.0 - height * height)), -1.0, 1.0));
-    return max(squared * height * rim - cut * cosine + atan(cut / cosine), 0.0) * (2.0 / TAU);
-}
-
 // The ray of a cone to point `i` of its section, spread evenly.
 fn thin_ray(beam: Beam, i: u32) -> Beam {
     let d = beam.direction;
@@ -415,53 +312,23 @@ fn thin_share(thin: ptr<function, RayBundle>) -> f32 {
 // Fraction of a cone's section that passes, and whether it is proven.
 fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
     var share = 1.0;
-    // Sum of the fractions that the instances in a cone of occlusion block.
-    var blocked = select(1.0, 0.0, HAS_WIDE && beam.is_coarse == WIDE);
     var is_proven = true;
     var x = 1.0;
     var thin = all_thin_rays();
-    var thin_beam = beam;
-    // The slope of a wide cone is a sine; rays in it need the tangent.
-    if HAS_WIDE && beam.is_coarse == WIDE { thin_beam.slope = beam.slope / sqrt(1.0 - beam.slope * beam.slope); }
     var walk = begin_walk(beam);
     for (var occluder = next_occluder(&walk, beam); occluder.index != NO_INSTANCE; occluder = next_occluder(&walk, beam)) {
         if HAS_THIN && instances[occluder.index].prefers_rays != 0u {
-            if may_intersect(occluder.index, thin_beam) { block(&thin, occluder, thin_beam); }
+            if may_intersect(occluder.index, beam) { block(&thin, occluder, beam); }
             continue;
         }
         let opacity = instances[occluder.index].opacity;
-        var x_known = select(1.0, x, beam.is_coarse != 0u && opacity >= 1.0);
-        var ball = BallBeside(-1.0, 1.0, 1.0);
-        let is_near = HAS_WIDE && beam.is_coarse == WIDE && occluder.index < params.far;
-        if is_near {
-            // Cones of occlusion are wide: they enter the boxes of many instances and miss most of the surfaces inside.
-            ball = ball_beside(occluder.index, beam);
-            if ball.least_x >= 1.0 { continue; }
-            if ball.covered <= LEAST_BALL {
-                let own = opacity * min(ball.weight * instances[occluder.index].ball_fill * ball.covered, 1.0);
-                share *= 1.0 - own;
-                blocked += own;
-                continue;
-            }
-            x_known = 1.0;
-        }
+        let x_known = select(1.0, x, beam.is_coarse != 0u && opacity >= 1.0);
         let ray = ray_in_field(occluder.index, beam);
         let span = cone_span(occluder, beam, ray, x_known);
-        var cone = Cone(1.0, false, 1.0);
+        var cone = Cone(1.0, false);
         if span.x <= span.y { cone = cone_past(occluder, beam, ray, span, x_known, with_edges); }
         if needs_edge { return vec2f(0.0); }
-        // Beside a free axis a distance may be a loose bound.
-        if cone.x >= 0.0 { cone.x = max(cone.x, ball.least_x); }
-        if is_near {
-            let hidden = 1.0 - visible_share(cone.x);
-            // A ball that covers little has no straight edge in the cone.
-            let by_edge = (ball.covered - LEAST_BALL) / (1.0 - LEAST_BALL);
-            let covered = mix(instances[occluder.index].ball_fill * ball.covered, min(hidden, ball.covered), by_edge);
-            let own = opacity * min(ball.weight * covered, 1.0);
-            share *= (1.0 - own) * (1.0 - opacity * (1.0 - cone.beside));
-            blocked += own;
-            if share <= 0.0 && blocked >= 1.0 { return vec2f(0.0); }
-        } else if opacity < 1.0 {
+        if opacity < 1.0 {
             share *= 1.0 - opacity * (1.0 - visible_share(cone.x));
             is_proven = is_proven && (cone.is_covered || cone.x >= 1.0);
         } else {
@@ -470,7 +337,6 @@ fn cone_share(beam: Beam, with_edges: bool) -> vec2f {
             if x <= -1.0 && beam.is_coarse != 0u { return vec2f(0.0); }
         }
     }
-    if HAS_WIDE { share = max(share, 1.0 - blocked); }
     if HAS_THIN {
         share *= thin_share(&thin);
         is_proven = is_proven && !thin.is_tested;

@@ -203,8 +203,6 @@ wgsl_constants! {
         /// Largest number of steps of one cone past one instance. Steps of at least half a voxel cross the diagonal of
         /// 128^3 in 450; few cones stay so near to a surface for so long.
         MAX_CONE_STEPS: u32 as u32 = 512;
-        /// Least step along a wide cone, in radii.
-        WIDE_STEP: f32 as f32 = 0.4;
         /// Number of directions around the axis of a blocked cone in which an edge is sought. A straight edge is at
         /// most 22.5 degrees away from one of them, so a ray at [`PAST_EDGE`] is at least 15 % of the depth beyond the
         /// edge.
@@ -216,20 +214,6 @@ wgsl_constants! {
         /// Fraction of the clearance beyond a straight edge at which the edge counts completely. The rest covers the
         /// curvature of edges, and the rounding of distances in a field.
         FULL_CLEARANCE: f32 as f32 = 0.5;
-        /// Length in which an occluder at the end of a cone of occlusion fades out, in radii of the cone's end. An
-        /// occluder covers the section only if the axis is inside it for a radius, so the fade may be as long as that.
-        END_FADE: f32 as f32 = 0.5;
-        /// Number of cones of occlusion over a hemisphere: one along the normal and a ring of six.
-        AO_CONES: usize as u32 = 7;
-        /// Cosine and sine of the angle of the ring from the normal, 60 degrees.
-        AO_RING_COSINE: f32 as f32 = 0.5;
-        AO_RING_SINE: f32 as f32 = 0.866_025_4;
-        /// Largest fraction of a wide cone's section that the ball of an instance covers if the instance is not
-        /// evaluated. It then covers its mean fraction of the ball.
-        LEAST_BALL: f32 as f32 = 0.1;
-        /// Largest ratio of the form factor of a ball to the fraction that it covers of all cones. In the gaps between
-        /// the cones a ball covers little of them.
-        MOST_WEIGHT: f32 as f32 = 2.0;
     }
     scene_beam {
         /// Number of consecutive cones with a common cut of the scene's tree, and of nodes of a cut.

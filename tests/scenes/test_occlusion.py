@@ -95,16 +95,24 @@ def test_occlusion_past_balls_is_close_to_rays(kind: str, device: str) -> None:
     assert len(truth) > 300
     assert (truth < 0.8).sum() > 40
     error = open_share - truth
-    # The edge of a near ball is a straight line across its cones, and the ball around a sampled field is up to a
-    # sixteenth larger.
-    assert abs(error.mean()) <= 0.02
-    assert np.sqrt((error**2).mean()) <= 0.03
-    assert (np.abs(error) <= 0.1).mean() >= 0.99
+    assert abs(error.mean()) <= 0.004
+    assert np.sqrt((error**2).mean()) <= 0.015
+    assert (np.abs(error) <= 0.06).mean() >= 0.99
 
 
-def test_occlusion_by_a_ball_is_the_closed_form(device: str) -> None:
+BALLS = {
+    "mesh": lambda: fb.Mesh(*meshes.icosphere(5)),
+    "shape": lambda: fb.sphere(1),
+    "quadric": lambda: fb.Quadric.sphere(),
+    "dense": lambda: fb.bake(fb.sphere(1), 64, device="cpu"),
+    "sparse": lambda: fb.bake(fb.sphere(1), 64, device="cpu").to_sparse(),
+}
+
+
+@pytest.mark.parametrize("kind", BALLS)
+def test_occlusion_by_a_ball_is_the_closed_form(kind: str, device: str) -> None:
     # The fraction of light that a ball above the horizon blocks is cos(a) (r / c)^2, at the angle a and the distance c.
-    ball, center, radius = fb.Mesh(*meshes.icosphere(5)), np.array([0.0, 0.7, 0.0]), 0.6
+    ball, center, radius = BALLS[kind](), np.array([0.0, 0.7, 0.0]), 0.6
     scene = fb.Scene([fb.Instance(ball, moved(*center, scale=(radius,) * 3)), plane(6, y=0)], lights=[], ambient=1)
     camera, options = fb.Camera((0, 4, 5), (0, 0, 0), fov_deg=50), {"size": (80, 60), "shadows": "none"}
     plain = fb.render(scene, camera, **options, device=device)
@@ -118,6 +126,28 @@ def test_occlusion_by_a_ball_is_the_closed_form(device: str) -> None:
     # A surface has 128 rays, whose strata let the error of a fraction be about a hundredth.
     assert abs(error.mean()) <= 0.002
     assert np.sqrt((error**2).mean()) <= 0.01
+    assert np.abs(error).max() <= 0.06
+
+
+@pytest.mark.parametrize("kind", ["shape", "mesh", "volume"])
+def test_occlusion_beside_a_long_wall_is_the_closed_form(kind: str, device: str) -> None:
+    # A wall of the height h blocks (1 - d / sqrt(d^2 + h^2)) / 2 of the light at the distance d.
+    height, wall = 2.0, fb.box((60, 2, 0.8)).translate((0, 1, -0.4))
+    body = {"shape": lambda: wall, "mesh": lambda: wall.to_mesh(60), "volume": lambda: fb.bake(wall, (192, 48, 24))}[
+        kind
+    ]()
+    scene = fb.Scene([fb.Instance(body), plane(40, y=0)], lights=[], ambient=1)
+    camera, options = fb.Camera((0, 8, 3), (0, 0, 3), up=(0, 0, -1)), {"size": (60, 50), "shadows": "none"}
+    plain = fb.render(scene, camera, **options, device=device)
+    frame = fb.render(scene, camera, **options, device=device, ambient_occlusion=60.0)
+    place = positions(plain, camera)
+    floor = (plain.object_id == 1) & (np.abs(place[..., 0]) <= 5) & (place[..., 2] >= 0.05)
+    distance = place[..., 2][floor]
+    assert (distance < 1).sum() > 100
+    truth = (1 + distance / np.hypot(distance, height)) / 2
+    error = (frame.color[..., 0] / plain.color[..., 0])[floor] - truth
+    assert abs(error.mean()) <= 0.005
+    assert np.sqrt((error**2).mean()) <= 0.015
     assert np.abs(error).max() <= 0.06
 
 
@@ -186,7 +216,9 @@ def test_a_convex_body_does_not_occlude_itself(name: str, kind: str, device: str
     body = {"shape": lambda: shape, "mesh": lambda: shape.to_mesh(32), "volume": lambda: fb.bake(shape, 64)}[kind]()
     scene = fb.Scene([fb.Instance(body, material=fb.Material(color=(1, 1, 1)))], lights=[], ambient=1)
     frame = fb.render(scene, SIDE, size=(25, 25), ambient_occlusion=5.0, device=device)
-    assert frame.color[frame.object_id == 0][:, :3].min() >= 0.995
+    # Beside the edges of a turned box the trilinear surface has ripples, which block one of 128 rays.
+    least = 127 / 128 if (name, kind) == ("turned box", "volume") else 0.995
+    assert frame.color[frame.object_id == 0][:, :3].min() >= least
 
 
 @pytest.mark.parametrize("reach", [1.2, 2.0, 3.0])
@@ -202,10 +234,12 @@ def test_occlusion_under_a_long_tube_depends_on_the_distance_from_it_alone(reach
     near = (np.asarray(plain.object_id) == 1) & (np.abs(place[..., 2]) <= 2.5)
     share = frame.color[..., 0][near] / plain.color[..., 0][near]
     column = np.floor(place[..., 0][near] / 0.02).astype(int)
-    ranges = [np.ptp(share[column == i]) for i in np.unique(column) if np.sum(column == i) >= 5]
-    assert len(ranges) > 300
-    # A cone of the ring has an eighth of the weight. A jump of half of its fraction would be a visible line.
-    assert np.max(ranges) <= 1 / 16
+    columns = [share[column == i] for i in np.unique(column) if np.sum(column == i) >= 5]
+    assert len(columns) > 300
+    error = np.concatenate([values - values.mean() for values in columns])
+    # A surface has 128 rays, whose strata let the error of a fraction be about a hundredth.
+    assert np.sqrt((error**2).mean()) <= 0.01
+    assert np.abs(error).max() <= 0.06
 
 
 def test_interpolated_occlusion_is_that_of_a_finer_picture() -> None:

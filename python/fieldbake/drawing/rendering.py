@@ -245,7 +245,7 @@ def render(scene: Any, camera: Camera | None = None, **options: Unpack[RenderOpt
         has hard shadows. ``"hard"`` treats all lights as points. ``"area"`` casts `area_samples` rays to each light; it
         is slow, and the reference for ``"soft"``.
     ambient_occlusion : bool or float, default False
-        Whether nearby surfaces darken ambient light, by seven cones over the hemisphere. A number is the largest
+        Whether nearby surfaces darken ambient light, by 128 rays over the hemisphere. A number is the largest
         distance of such surfaces, world units. True uses 0.15 of the diagonal of the scene. Occlusion is evaluated at
         every eighth pixel of every eighth row, of at least 24 along the shorter side, and interpolated in between, on
         lattices of 4, 2 and 1 pixels. Pixels are evaluated too if another surface is visible near them, if their

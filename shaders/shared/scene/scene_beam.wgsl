@@ -20,7 +20,7 @@ struct Beam {
     bias_voxels: f32,
     own: u32,
     // 0: the cone of a light's disc, or a ray. 1: a part of a disc, for which only the fraction is used, not whether it
-    // is proven. WIDE: a cone of occlusion.
+    // is proven.
     is_coarse: u32,
     // Index of the cut of the tree at which the search starts. ROOT: it starts at the root. ROOT_WITHOUT_OWN: the same,
     // and light passes through the own instance: it casts no shadow, and the far field is not used.

@@ -25,8 +25,7 @@ struct SceneInstance {
     // 1 if cones are estimated by thin rays for this instance.
     prefers_rays: u32,
     box_max: vec3f,
-    // Mean fraction of the ball around the surface that the object covers.
-    ball_fill: f32,
+    pad_1: u32,
     surface_lower: vec3f,
     // Radius of the ball around the surface, centred in the box of the surface. Field space.
     surface_radius: f32,
@@ -34,9 +33,6 @@ struct SceneInstance {
     pad_2: u32,
     field_extent: vec3f,
     pad_3: u32,
-    // A ball around the surface, scene space.
-    ball_center: vec3f,
-    ball_radius: f32,
 }
 
 // A field of any kind. Only sampled kinds have a shape and a spacing.

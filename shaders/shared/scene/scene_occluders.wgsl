@@ -200,9 +200,8 @@ fn next_occluder(walk: ptr<function, Walk>, beam: Beam) -> Occluder {
         let to = &instances[index];
         let opacity = (*to).opacity;
         if (*to).casts_shadow == CASTS_NOTHING || opacity == 0.0 { continue; }
-        // The CPU traces the triangles of meshes for rays and for occlusion.
-        let is_traced = beam.slope == 0.0 || (HAS_WIDE && beam.is_coarse == WIDE);
-        if (*to).casts_shadow == CASTS_FOR_CONES && is_traced { continue; }
+        // The CPU traces the triangles of meshes for rays.
+        if (*to).casts_shadow == CASTS_FOR_CONES && beam.slope == 0.0 { continue; }
         // The box of a leaf contains two instances.
         if !intersects(beam, (*to).box_min - BOX_MARGIN, (*to).box_max + BOX_MARGIN, (*walk).reach) { continue; }
         if beam.cut == ROOT_WITHOUT_OWN && index == beam.own { continue; }

@@ -31,15 +31,13 @@ gpu_structs! {
         box_min: [f32; 3],
         prefers_rays: u32,
         box_max: [f32; 3],
-        ball_fill: f32,
+        pad_1: u32,
         surface_lower: [f32; 3],
         surface_radius: f32,
         surface_upper: [f32; 3],
         pad_2: u32,
         field_extent: [f32; 3],
         pad_3: u32,
-        ball_center: [f32; 3],
-        ball_radius: f32,
     }
 
     /// `shaders/shared/scene/scene_field.wgsl`.

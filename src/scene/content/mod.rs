@@ -1,6 +1,5 @@
 //! The contents of a scene: instances, meshes, materials and textures; and the options of its pictures.
 
-pub(crate) mod ball;
 pub(crate) mod instance;
 pub(crate) mod material;
 pub(crate) mod model;

@@ -1,6 +1,5 @@
 //! A scene prepared for drawing.
 
-use super::ball::Ball;
 use super::instance::{Instance, InstanceInput, world_box};
 use super::material::Material;
 use super::sheets::Sheets;
@@ -9,7 +8,7 @@ use super::tree::Tree;
 use crate::error::{Error, SceneError};
 use crate::geometry::Aabb;
 use glam::{DAffine3, DVec3};
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 /// Instances, materials and textures, prepared for drawing.
 pub struct Scene {
@@ -31,8 +30,8 @@ pub struct Scene {
     pub sheets: Sheets,
     /// Whether triangles of any instance block rays of light.
     pub has_faces: bool,
-    /// A ball around each instance, computed for the first picture with occlusion.
-    balls: OnceLock<Vec<Ball>>,
+    /// Whether the field of any instance without triangles blocks rays of light.
+    pub has_fields: bool,
     /// The inputs of the scene, for [`Scene::moved`].
     inputs: Vec<InstanceInput>,
 }
@@ -66,8 +65,10 @@ impl Scene {
         let tree = Tree::new(&boxes);
         let sheets = Sheets::new(&instances, &boxes);
         let has_faces = instances.iter().any(|instance| instance.casting_triangles().is_some());
-        let balls = OnceLock::new();
-        Ok(Self { center, scale, instances, materials, textures, tree, boxes, sheets, has_faces, balls, inputs })
+        let is_field =
+            |instance: &Instance| instance.casting_triangles().is_none() && instance.casting_field().is_some();
+        let has_fields = instances.iter().any(is_field);
+        Ok(Self { center, scale, instances, materials, textures, tree, boxes, sheets, has_faces, has_fields, inputs })
     }
 
     /// The same instances with other transforms, world from local, one for each instance. All objects are shared. The
@@ -88,11 +89,6 @@ impl Scene {
     /// Scene coordinates of a world position.
     pub fn scene_from_world(&self, p: DVec3) -> DVec3 {
         (p - self.center) / self.scale
-    }
-
-    /// A ball around the surface of each instance.
-    pub fn balls(&self) -> &[Ball] {
-        self.balls.get_or_init(|| Ball::of(&self.instances))
     }
 
     /// Box around all instances, world units.

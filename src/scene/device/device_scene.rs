@@ -26,7 +26,6 @@ use crate::scene::fields::field::Field;
 use crate::scene::fields::shader_variants::{BeamCases, GeometryKinds};
 use crate::scene::light::far_field::Far;
 use crate::scene::light::light_rays::{LightCone, LightRay, LightWork, SurfacePoint};
-use crate::scene::light::occlusion::Occluders;
 use crate::scene::light::shadow::TracedScene;
 use glam::{Mat3, Vec3};
 use std::collections::HashMap;
@@ -37,8 +36,6 @@ use std::sync::{Arc, Mutex, PoisonError};
 const NEEDS_EDGE: u32 = 2;
 /// Finite value that stands for infinity in shaders.
 const FAR: f32 = 1e30;
-/// Value of [`Beam::is_coarse`] for a wide cone of occlusion, as in the shader.
-pub(crate) const WIDE: u32 = 2;
 /// Index for no far field, as in the shader.
 const NO_FAR: u32 = u32::MAX;
 /// Value of [`BeamParams::far_distance`] for the default distance, a number of voxels, as in the shader.
@@ -124,21 +121,13 @@ impl Fields {
         let of_scene = scene.instances.iter().zip(&scene.boxes).map(|(instance, bounds)| (instance, bounds, 0.0));
         let levels = far.map_or(&[][..], |far| &far.levels);
         let of_far = levels.iter().map(|level| (&level.instance, &level.bounds, level.voxel));
-        let balls = scene.balls();
-        let row = |(i, (instance, bounds, voxel)): (usize, (&Instance, &Aabb, f64))| {
+        let row = |(instance, bounds, voxel): (&Instance, &Aabb, f64)| {
             let record = instance.field.as_ref().and_then(|field| self.by_address[&address(field)].1);
             let row = instance_row(instance, bounds, record.unwrap_or(0));
             let row = SceneInstance { voxel: voxel as f32, ..row };
-            let row = balls.get(i).map_or(row, |ball| SceneInstance {
-                surface_radius: ball.field_radius,
-                ball_fill: ball.fill,
-                ball_center: ball.center.to_array(),
-                ball_radius: ball.radius,
-                ..row
-            });
             (row, instance.field.is_none() || record.is_some())
         };
-        of_scene.chain(of_far).enumerate().map(row).unzip()
+        of_scene.chain(of_far).map(row).unzip()
     }
 }
 
@@ -250,16 +239,15 @@ impl DeviceScene {
         params
     }
 
-    /// Fraction of each beam that passes. `has_wide` is whether some beams may be cones of occlusion.
+    /// Fraction of each beam that passes.
     pub(crate) fn shares(
         &self,
         traced: &TracedScene<'_>,
-        has_wide: bool,
         beams: &[Beam],
         progress: &Progress,
     ) -> Result<Vec<BeamResult>, Error> {
         let params = Self::beam_params(traced);
-        let cases = BeamCases { has_far: traced.far.is_some(), has_wide };
+        let cases = BeamCases { has_far: traced.far.is_some() };
         let mut beam_results = vec![BeamResult::default(); beams.len()];
         let is_cone = |i: usize| beams[i].slope > 0.0;
         type Selection<'a> = &'a dyn Fn(usize, &BeamResult) -> bool;
@@ -280,11 +268,7 @@ impl DeviceScene {
         {
             let (place, ray) = from_beam(beam);
             let mut work = LightWork::default();
-            if beam.is_coarse == WIDE {
-                let mut occluders = Occluders::default();
-                traced.gather(&place, ray.t_max, &mut occluders);
-                beam_result.value = traced.wide_share(&place, &ray, &mut occluders, &mut work);
-            } else if beam.slope > 0.0 {
+            if beam.slope > 0.0 {
                 let cone = LightCone { place: &place, ray: &ray, slope: beam.slope };
                 if beam.is_coarse == 0 {
                     let whole = traced.whole_cone(cone, &mut Vec::new(), &mut work);
@@ -302,7 +286,7 @@ impl DeviceScene {
 
     /// The length of each beam inside its own instance.
     pub(crate) fn thicknesses(&self, beams: &[Beam], progress: &Progress) -> Result<Vec<BeamResult>, Error> {
-        let cases = BeamCases { has_far: false, has_wide: false };
+        let cases = BeamCases { has_far: false };
         self.evaluate("thicknesses", cases, BeamParams { far: NO_FAR, ..BeamParams::default() }, beams, progress)
     }
 

@@ -53,16 +53,12 @@ impl GeometryKinds {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct BeamCases {
     pub has_far: bool,
-    /// Whether some cones are occlusion cones.
-    pub has_wide: bool,
 }
 
 impl BeamCases {
     /// The override of `shaders/shared/scene/variants/scene_cases.wgsl`.
     pub(crate) fn text(self) -> Instead {
-        let Self { has_far, has_wide } = self;
-        let text = format!("const HAS_FAR: bool = {has_far};\nconst HAS_WIDE: bool = {has_wide};\n");
-        ("scene_cases", Cow::Owned(text))
+        ("scene_cases", Cow::Owned(format!("const HAS_FAR: bool = {};\n", self.has_far)))
     }
 }
 
@@ -106,7 +102,7 @@ mod tests {
             let has = |bit: u8| i >> bit & 1 == 1;
             let structures = if has(2) { vec![body.clone()] } else { Vec::new() };
             let mut texts = GeometryKinds { sparse: has(0), quadrics: has(1), structures }.texts();
-            texts.push(BeamCases { has_far: has(1), has_wide: has(2) }.text());
+            texts.push(BeamCases { has_far: has(1) }.text());
             for kernel in ["scene_beams", "scene_fields"] {
                 let text = source_instead(kernel, &texts).unwrap();
                 validate(kernel, &text);

@@ -3,11 +3,8 @@
 //!
 //! [`super::shadow`] explains their use.
 
-use super::near_instances::Beside;
 use super::ray_bundle::RayBundle;
-use crate::gpu::constants::scene_beams::{
-    EDGE_COSINE, EDGE_DIRECTIONS, FULL_CLEARANCE, MAX_CONE_STEPS, PAST_EDGE, WIDE_STEP,
-};
+use crate::gpu::constants::scene_beams::{EDGE_COSINE, EDGE_DIRECTIONS, FULL_CLEARANCE, MAX_CONE_STEPS, PAST_EDGE};
 use crate::scene::content::instance::Instance;
 use crate::scene::fields::field::Field;
 use glam::{DVec3, Vec3};
@@ -19,19 +16,11 @@ pub(crate) struct Cone {
     pub x: f32,
     /// Whether the whole section of the cone was inside the solid at some distance.
     pub is_covered: bool,
-    /// Fraction of the section beside the instance that others leave open at its edge; 1 except for wide cones.
-    pub beside: f32,
 }
 
 impl Cone {
-    pub(crate) const FREE: Self = Self { x: 1.0, is_covered: false, beside: 1.0 };
-    pub(crate) const COVERED: Self = Self { x: -1.0, is_covered: true, beside: 1.0 };
-}
-
-/// Lower bound of the distance between a free axis and a surface, in radii, for the estimate `x` of
-/// [`ConeWalk::beside_wide`].
-pub(crate) fn clearance(x: f32) -> f32 {
-    if x >= 1.0 { 1.0 } else { (x.max(0.0) * x - WIDE_STEP * WIDE_STEP / 4.0).max(0.0).sqrt() }
+    pub(crate) const FREE: Self = Self { x: 1.0, is_covered: false };
+    pub(crate) const COVERED: Self = Self { x: -1.0, is_covered: true };
 }
 
 /// Margin for the rounding of an edge's position, in radii.
@@ -82,54 +71,6 @@ pub(crate) struct ConeSum {
     /// Fractions of the thin rays, for instances that are tested by rays.
     pub thin: RayBundle,
 }
-
-/// Sine of half the angle of a wide cone, 30 degrees: seven such cones just cover a hemisphere. The balls of this
-/// radius per distance about the axis touch the plane of the surface.
-pub(crate) const AO_SLOPE: f32 = 0.5;
-/// Tangent of half the angle, for rays in the cone.
-pub(crate) const AO_TANGENT: f32 = 0.577_350_3;
-
-/// A wide cone of occlusion, with bounds of the instance that it passes ([`ConeWalk::beside_wide`]).
-#[derive(Clone, Copy)]
-pub(crate) struct WideCone<'a> {
-    /// The instances that rays past the cone's edges may meet.
-    pub beside: Beside<'a>,
-    /// Lower bound, in radii, of the distance between a free axis and the surface of the instance. Distances of its
-    /// field may be loose bounds. A positive value proves that the axis is free.
-    pub least_x: f32,
-    pub ball: BallAhead,
-}
-
-/// The ball around the surface of an instance beside the axis of a cone, scene units.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct BallAhead {
-    /// Position of the ball's centre along the axis, and its squared distance from the apex.
-    pub along: f32,
-    pub squared: f32,
-    pub radius: f32,
-}
-
-impl BallAhead {
-    /// An unbounded surface.
-    pub(crate) const ENDLESS: Self = Self { along: 0.0, squared: 0.0, radius: f32::INFINITY };
-
-    /// The largest depth inside this ball of points of the axis at `t` and beyond, in radii `slope t`. Infinite before
-    /// the middle of the ball.
-    fn depth_beyond(&self, t: f32, slope: f32) -> f32 {
-        let distance = (self.squared + t * (t - 2.0 * self.along)).max(0.0).sqrt();
-        if t < self.along { f32::INFINITY } else { ((1.0 + BALL_ROUNDING) * self.radius - distance) / (slope * t) }
-    }
-
-    /// Whether balls of radius `slope s` about the axis stay clear of this ball for all `s >= t`. Their distance is
-    /// convex in `s`, so it suffices that it is positive and does not decrease at `t`.
-    fn is_passed(&self, t: f32, slope: f32) -> bool {
-        let distance = (self.squared + t * (t - 2.0 * self.along)).max(0.0).sqrt();
-        t - self.along >= slope * distance && distance >= (1.0 + BALL_ROUNDING) * (self.radius + slope * t)
-    }
-}
-
-/// Relative margin for the rounding of the distance between two balls.
-const BALL_ROUNDING: f32 = 1e-3;
 
 impl ConeSum {
     pub(crate) const NEW: Self = Self { translucent: 1.0, is_proven: true, opaque: Cone::FREE, thin: RayBundle::NEW };
@@ -333,72 +274,10 @@ impl ConeWalk<'_> {
         found.map_or(Decision::Free, Decision::Blocked)
     }
 
-    /// The smallest clearance of a wide cone of occlusion in radii, at most 1. If the axis enters the object, returns
-    /// the position of the entry as an error.
-    ///
-    /// A step is the whole distance. The balls around the two ends of such a step are free of the surface and touch it.
-    /// They intersect in a circle of radius `c` about the axis, and `c` is taken as the closest approach between them
-    /// (Aaltonen, GDC 2018). It is exact for a point or an edge, and at most 13 % too low for a plane. Near the
-    /// surface, steps are at least two fifths of a radius. There an approach to the fraction `x` of the radius may be
-    /// estimated as `sqrt(x^2 + 1/25)`.
-    ///
-    /// Steps of the whole distance cannot cross the surface. Before the first longer step, `hit_from` traces the axis
-    /// from the previous step. An axis that is known to be free is not traced. The walk ends where the rest of the cone
-    /// cannot come closer to the surface, nor closer than the known edge at `x_limit`.
-    pub(crate) fn beside_wide(
-        &self,
-        wide: &WideCone<'_>,
-        x_limit: f32,
-        steps: &mut u32,
-        mut hit_from: impl FnMut(f32) -> Option<f32>,
-    ) -> Result<f32, f32> {
-        let mut x = 1.0f32;
-        let mut t = self.enter;
-        let mut is_free = wide.least_x > 0.0;
-        // The step that led to `t`, and the clearance before it.
-        let (mut step, mut before) = (0.0f32, 0.0f32);
-        for _ in 0..MAX_CONE_STEPS {
-            *steps += 1;
-            let p = self.at(t);
-            let radius = self.slope * t;
-            let distance = self.field.distance(p);
-            let free = distance * self.pace;
-            let next = free.max(WIDE_STEP * radius).max(self.least_step);
-            if next > free && !is_free && t < self.leave {
-                if let Some(t_hit) = hit_from(t - step) {
-                    return Err(t_hit);
-                }
-                is_free = true;
-            }
-            let mut clear = distance * self.instance.stretch[0];
-            if clear < x * radius {
-                clear = self.across(self.field.distance_guess(p, distance).max(0.0), p);
-                x = x.min(clear / radius);
-            }
-            let along = (before * before - clear * clear + step * step) / (2.0 * step);
-            if step > 0.0 && step <= before && along > 0.0 && along < step {
-                let closest = (before * before - along * along).max(0.0).sqrt();
-                x = x.min(closest / (self.slope * (t - step + along)));
-            }
-            if t >= self.leave {
-                break;
-            }
-            before = clear;
-            // The last evaluation is at the end, so that an approach there enters the result without a jump.
-            (step, t) = if t + next < self.leave { (next, t + next) } else { (self.leave - t, self.leave) };
-            if wide.ball.is_passed(t, self.slope * x.min(x_limit).max(0.0)) {
-                break;
-            }
-        }
-        Ok(x)
-    }
-
     /// The axis enters the solid at `t_hit`. Returns the signed distance of the nearest edge in radii, at most 0, and
     /// the position of the deepest point, to which that distance belongs. At -1 or below the solid covers the whole
-    /// section, and the walk ends there. `ball` contains the surface, if such a ball is known.
-    pub(crate) fn inside(&self, t_hit: f32, ball: Option<&BallAhead>, steps: &mut u32) -> (f32, f32) {
-        // Under a non-uniform scale the depth is an estimate, which the ball does not bound.
-        let ball = ball.filter(|_| self.instance.is_uniform());
+    /// section, and the walk ends there.
+    pub(crate) fn inside(&self, t_hit: f32, steps: &mut u32) -> (f32, f32) {
         let mut deepest = (0.0f32, t_hit);
         // Immediately behind the surface, where the field is below zero.
         let mut t = t_hit + 0.5 * self.least_step;
@@ -417,7 +296,7 @@ impl ConeWalk<'_> {
                 break;
             }
             t += (-0.5 * distance * self.pace).max(self.least_step);
-            if t >= self.leave || ball.is_some_and(|ball| ball.depth_beyond(t, self.slope) <= -deepest.0) {
+            if t >= self.leave {
                 break;
             }
         }
@@ -469,49 +348,4 @@ pub(crate) struct RayPast {
     pub slope: f32,
     /// Upper bound of its clearance, in radii of that cone.
     pub most: f32,
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    proptest! {
-        /// Behind the point at which a ball is passed, no point of the axis is closer to it than the known edge.
-        #[test]
-        fn no_passed_ball_comes_closer(
-            along in -2.0..2.0f32, aside in 0.0..2.0f32, radius in 0.0..1.0f32, t in 0.0..4.0f32, x in 0.0..1.0f32
-        ) {
-            const SLOPE: f32 = 0.577_350_3;
-            let ball = BallAhead { along, squared: along * along + aside * aside, radius };
-            prop_assume!(ball.is_passed(t, x * SLOPE));
-            for i in 0..400 {
-                let s = t + 0.02 * i as f32;
-                let distance = (aside * aside + (s - along) * (s - along)).sqrt() - radius;
-                prop_assert!(distance >= x * SLOPE * s, "{s}: {distance}");
-            }
-        }
-    }
-
-    proptest! {
-        /// No point of the axis behind a position is deeper inside a ball than the bound there.
-        #[test]
-        fn no_point_beyond_is_deeper(
-            along in -2.0..2.0f32, aside in 0.0..1.0f32, radius in 0.0..1.0f32, t in 0.01..4.0f32
-        ) {
-            const SLOPE: f32 = 0.577_350_3;
-            let ball = BallAhead { along, squared: along * along + aside * aside, radius };
-            let most = ball.depth_beyond(t, SLOPE);
-            for i in 0..400 {
-                let s = t + 0.02 * i as f32;
-                let depth = radius - (aside * aside + (s - along) * (s - along)).sqrt();
-                prop_assert!(depth <= most * SLOPE * s || depth <= 0.0, "{s}: {depth}");
-            }
-        }
-    }
-
-    #[test]
-    fn an_endless_surface_is_never_passed() {
-        assert!(!BallAhead::ENDLESS.is_passed(1e6, 0.0));
-    }
 }

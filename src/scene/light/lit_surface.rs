@@ -2,9 +2,8 @@
 
 use super::cone::visible_share;
 use super::light_rays::{Hemisphere, LightRay, LightWork, SurfacePoint, basis, disc_point, toward};
-use super::mesh_rays::PATTERNS;
 use super::occluder::{NearList, bias};
-use super::occlusion::Occluders;
+use super::occlusion::{NearOccluders, PATTERNS};
 use super::shadow::TracedScene;
 use super::transmission;
 use super::transmission::NO_LIGHT;
@@ -218,7 +217,7 @@ impl<'a> LitSurface<'a> {
         near: Option<&[NearList]>,
         lights: &Lights,
         options: &RenderOptions,
-        occluders: &mut Occluders,
+        occluders: &mut NearOccluders,
         found: &mut LightSampleMut<'_>,
     ) -> LightWork {
         let (scene, place, mut work) = (traced.scene, &self.place, LightWork::default());

@@ -21,45 +21,20 @@
 //! # Practice
 //!
 //! Triangles are traced on the CPU for pictures of every device, so their shadows do not depend on it. Rays of
-//! neighbouring surfaces, and the rays of one surface to an area light, are searched in packets past each opaque mesh.
-//!
-//! *Occlusion.* Rays over the hemisphere above a surface have the density of the cosine. A part of the hemisphere
-//! belongs to each cone of [`super::occlusion`], and the weight of the cone is its share of the rays: the
-//! directions within 30 degrees of the normal, and six sectors around them. So the fractions of rays that pass meshes
-//! multiply the fractions of cones that pass other objects. The rays of a part are the points of Hammersley's set,
-//! permuted in [`PATTERNS`] ways for different pixels (Kollig and Keller, *Efficient Multidimensional Sampling*, 2002).
+//! neighbouring surfaces, and the rays of one surface to an area light or over its hemisphere, are searched in packets
+//! past each opaque mesh.
 
 use super::far_field::Split;
-use super::light_rays::{Hemisphere, LightRay, LightWork, SurfacePoint, basis};
-use super::near_instances::NearInstances;
+use super::light_rays::{LightRay, LightWork, SurfacePoint};
 use super::occluder::NearList;
 use super::shadow::TracedScene;
 use crate::bvh::rays::watertight;
-use crate::gpu::constants::scene_beams::AO_CONES;
 use crate::scene::content::instance::Instance;
 use crate::scene::content::model::Scene;
 use crate::scene::content::tree::{Line, Lines};
 use crate::scene::content::triangles::Triangles;
 use crate::scene::visibility::appearance::FaceAppearance;
-use glam::{Vec2, Vec3};
 use rayon::prelude::*;
-use std::sync::LazyLock;
-
-/// Number of patterns of directions over the hemisphere.
-pub(crate) const PATTERNS: usize = 64;
-
-/// Number of rays in the part of the hemisphere around the normal, and in each of the sectors around it, powers of two:
-/// as the weights of their cones.
-const MIDDLE_RAYS: u32 = 32;
-const SECTOR_RAYS: u32 = 16;
-
-/// Fraction of the rays in the middle part.
-const MIDDLE_SHARE: f32 = MIDDLE_RAYS as f32 / (MIDDLE_RAYS + (AO_CONES as u32 - 1) * SECTOR_RAYS) as f32;
-
-/// Cosine of the largest angle between a direction in a part and the axis of its cone: 30 degrees in the middle, and in
-/// a sector the angle between its axis and the horizon at its border.
-const MIDDLE_COSINE: f32 = 0.866_025_4;
-const SECTOR_COSINE: f32 = 0.75;
 
 /// Largest distance of a flat mesh from its plane, relative to its size: half the distance at which rays start off
 /// their own surface. Float32 vertices of coplanar faces differ by an eighth of it.
@@ -125,6 +100,21 @@ impl TracedScene<'_> {
         }
     }
 
+    /// Multiplies the fractions of rays by the fractions that pass the far field.
+    pub(crate) fn pass_far(&self, rays: &mut [PlacedRay<'_>]) {
+        if self.far.is_none() {
+            return;
+        }
+        for PlacedRay { place, ray, split, share, work } in rays {
+            if split.far.is_some() && *share > 0.0 {
+                work.far_rays += 1;
+                if self.far_occluders(split, place, ray).any(|far| self.hit_of(&far, place, ray, work).is_some()) {
+                    *share = 0.0;
+                }
+            }
+        }
+    }
+
     /// Multiplies the fractions of the `tested` rays by the fractions that pass an instance.
     fn pass_instance(&self, item: u32, rays: &mut [PlacedRay<'_>], tested: &[usize]) {
         let instance = &self.scene.instances[item as usize];
@@ -169,36 +159,6 @@ impl TracedScene<'_> {
         rays.iter().map(|ray| ray.share).sum()
     }
 
-    /// Fraction of the rays in each part of a hemisphere that passes `meshes`.
-    pub(crate) fn hemisphere_past(
-        &self,
-        meshes: &NearInstances,
-        &Hemisphere { place, distance, pattern }: &Hemisphere<'_>,
-        work: &mut LightWork,
-    ) -> [f32; AO_CONES] {
-        let mut past = [1.0; AO_CONES];
-        let near = meshes.above(place.p.as_vec3(), place.normal, distance as f32);
-        if near.is_empty() {
-            return past;
-        }
-        let normal = place.normal.as_dvec3();
-        let [right, up] = basis(normal);
-        let parts = place.open_rays(distance).zip(&DIRECTIONS[pattern % PATTERNS]);
-        for (part, ((axis, _), directions)) in parts.enumerate() {
-            let cosine = if part == 0 { MIDDLE_COSINE } else { SECTOR_COSINE };
-            let axis = axis.direction.as_vec3();
-            let items: Vec<u32> =
-                near.iter().filter(|ball| ball.may_intersect(axis, cosine)).map(|ball| ball.item).collect();
-            if items.is_empty() {
-                continue;
-            }
-            let world = |v: &Vec3| f64::from(v.x) * right + f64::from(v.y) * up + f64::from(v.z) * normal;
-            let rays = directions.iter().map(|v| LightRay { direction: world(v), t_max: distance });
-            past[part] = self.sum_of_rays(&NearList::new(items), place, rays, work) / directions.len() as f32;
-        }
-        past
-    }
-
     /// Fraction of a thin ray that the triangles of an instance let pass.
     pub(crate) fn past_faces(
         &self,
@@ -219,45 +179,6 @@ impl TracedScene<'_> {
         }
         share
     }
-}
-
-/// A pattern of directions over the hemisphere about the z axis: for each part, its rays.
-type Pattern = [Vec<Vec3>; AO_CONES];
-
-/// The patterns, made when they are first used.
-static DIRECTIONS: LazyLock<Vec<Pattern>> = LazyLock::new(|| {
-    (0..PATTERNS).map(|pattern| std::array::from_fn(|part| directions(part, AO_CONES * pattern + part))).collect()
-});
-
-/// The real root of x^5 = x + 1. The multiples of its powers below 1 fill the unit cube of four dimensions evenly
-/// (Roberts, *The unreasonable effectiveness of quasirandom sequences*, 2018).
-const ROOT: f64 = 1.167_303_978_261_418_7;
-
-/// The directions of a part, eight neighbours after each other. `number` selects a permutation.
-fn directions(part: usize, number: usize) -> Vec<Vec3> {
-    let count = if part == 0 { MIDDLE_RAYS } else { SECTOR_RAYS };
-    let bits = count.ilog2();
-    let random: [f64; 4] = std::array::from_fn(|axis| (number as f64 * ROOT.powi(-1 - axis as i32)).fract());
-    let [flip, reversed_flip] = [0, 1].map(|i| (random[i] * f64::from(count)) as u32);
-    let [offset, reversed_offset] = [2, 3].map(|i| random[i] as f32);
-    let direction = |i: u32| {
-        let along = ((i ^ flip) as f32 + offset) / count as f32;
-        let around = ((i.reverse_bits() >> (32 - bits) ^ reversed_flip) as f32 + reversed_offset) / count as f32;
-        let (spread, turn) = match part {
-            0 => (MIDDLE_SHARE * along, std::f32::consts::TAU * around),
-            _ => {
-                let width = std::f32::consts::TAU / (AO_CONES - 1) as f32;
-                (MIDDLE_SHARE + (1.0 - MIDDLE_SHARE) * along, width * ((part - 1) as f32 + around - 0.5))
-            }
-        };
-        (spread.sqrt() * Vec2::from_angle(turn)).extend((1.0 - spread).sqrt())
-    };
-    // The index modulo a power of two selects a piece of the turn, and the upper bits a piece of the spread.
-    let pieces = count / 8;
-    let columns = 1 << (pieces.ilog2() / 2);
-    let mut order: Vec<u32> = (0..count).collect();
-    order.sort_by_key(|i| (i % columns, i / (count * columns / pieces)));
-    order.into_iter().map(direction).collect()
 }
 
 /// Whether the triangles of an instance cannot block light from a place: it is the own instance, and flat or left out.

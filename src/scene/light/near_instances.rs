@@ -1,4 +1,4 @@
-//! The instances near a place, for cones and rays that end near it.
+//! The instances near a place, for rays that end near it.
 
 use glam::Vec3;
 
@@ -8,7 +8,7 @@ const ROUNDING: f32 = 1e-5;
 /// The instances that a search found, with the centres and radii of their balls.
 #[derive(Debug, Default)]
 pub(crate) struct NearInstances {
-    pub items: Vec<u32>,
+    items: Vec<u32>,
     x: Vec<f32>,
     y: Vec<f32>,
     z: Vec<f32>,
@@ -46,26 +46,12 @@ impl NearInstances {
         found.sort_by(|a, b| (a.length - a.radius).total_cmp(&(b.length - b.radius)).then(a.item.cmp(&b.item)));
         found
     }
-
-    /// The centres of the balls along x, y and z, and their radii.
-    pub(crate) fn balls(&self) -> [&[f32]; 4] {
-        [&self.x, &self.y, &self.z, &self.radius]
-    }
-
-    /// Whether a cone of radius `slope` per distance around a unit direction may intersect ball `i`.
-    fn may_intersect(&self, i: usize, p: Vec3, direction: Vec3, slope: f32) -> bool {
-        let (to_center, radius) = (Vec3::new(self.x[i], self.y[i], self.z[i]) - p, self.radius[i]);
-        let (along, squared) = (to_center.dot(direction), to_center.length_squared());
-        // The widest part of the cone that can touch the ball.
-        let radius = radius + slope * (along.max(0.0) + radius);
-        along >= -radius && squared - along * along <= radius * radius + ROUNDING * squared
-    }
 }
 
 /// Distance of the centre of a ball from the axis of a cone, and sine and cosine of `A - B`, each times `c^2`, from the
 /// position of the centre along the axis, its squared distance `c^2`, the radius, and the length of the tangent.
 #[inline(always)]
-pub(crate) fn side_of_ball(along: f32, squared: f32, radius: f32, tangent: f32) -> [f32; 3] {
+fn side_of_ball(along: f32, squared: f32, radius: f32, tangent: f32) -> [f32; 3] {
     let aside_squared = squared - along * along;
     // Unlike `max`, the comparison is vectorised.
     let aside = (if aside_squared > 0.0 { aside_squared } else { 0.0 }).sqrt();
@@ -92,45 +78,5 @@ impl BallFrom {
         let squared = length * length;
         let [_, sine, nearest] = side_of_ball(to_center.dot(axis), squared, radius, (squared - radius * radius).sqrt());
         sine <= 0.0 || nearest >= (cosine - ROUNDING) * squared
-    }
-}
-
-/// An instance in a wide cone.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct ConeOccluder {
-    /// Lower bound of the distance, in radii, between the axis and the surface; at most 0 if there is no bound.
-    pub x: f32,
-    /// Index of the instance in [`NearInstances::items`].
-    pub index: u32,
-}
-
-/// The instances beside the axis of a wide cone.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Beside<'a> {
-    pub nearby: &'a NearInstances,
-    /// All instances that come within one radius of the axis.
-    pub candidates: &'a [ConeOccluder],
-    /// Radius of the cone per distance.
-    pub slope: f32,
-}
-
-impl Beside<'_> {
-    /// Calls `visit` with each instance that a narrow cone from the apex of the cone may intersect, until `visit`
-    /// returns false. `direction` is the unit direction of its axis, `offset` the tangent of the angle between the
-    /// axes, and `width` its radius for a distance of 1 along the axis of the wide cone.
-    ///
-    /// At the distance `t` along the axis, the narrow cone is `(offset - width) t` to `(offset + width) t` away from
-    /// the axis. It misses an instance whose surface is `x` radii away, if `offset + width < slope x`.
-    pub(crate) fn along(&self, p: Vec3, direction: Vec3, offset: f32, width: f32, mut visit: impl FnMut(u32) -> bool) {
-        let length = (1.0 + offset * offset).sqrt();
-        let mut pass =
-            |i: usize| !self.nearby.may_intersect(i, p, direction, width / length) || visit(self.nearby.items[i]);
-        if offset + width < self.slope {
-            self.candidates
-                .iter()
-                .all(|candidate| offset + width < self.slope * candidate.x || pass(candidate.index as usize));
-        } else {
-            (0..self.nearby.items.len()).all(pass);
-        }
     }
 }

@@ -19,7 +19,6 @@
 use super::light_rays::{LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
 use super::lit_surface::{Lights, LitSurface};
 use super::mesh_rays::is_skipped;
-use super::occlusion::Occluders;
 use super::shadow::TracedScene;
 use crate::scene::content::instance::Instance;
 use crate::scene::content::model::Scene;
@@ -137,8 +136,8 @@ impl TracedScene<'_> {
         }
     }
 
-    /// All fractions past triangles that the light pass needs at a surface: first each part of the hemisphere, then for
-    /// each evaluated light one fraction (hard), [`PARTS`] (soft) or one per ray (area).
+    /// All fractions past triangles that the light pass needs at a surface: first each ray over the hemisphere, then
+    /// for each evaluated light one fraction (hard), [`PARTS`] (soft) or one per ray (area).
     pub(crate) fn faces_at(
         &self,
         surface: &LitSurface<'_>,
@@ -149,7 +148,7 @@ impl TracedScene<'_> {
         let place = &surface.place;
         if let Some(distance) = options.occlusion {
             let hemisphere = surface.hemisphere(distance / self.scene.scale);
-            shares.extend(self.open_past_faces(&hemisphere, &mut Occluders::default(), &mut work));
+            shares.extend(self.open_past_faces(&hemisphere, &mut work));
         }
         for light in &lights.lights {
             let (ray, slope, _) = light.seen_from(place.p);

@@ -39,11 +39,11 @@
 //! voxel: the ray starts a number of voxels off the surface. No constant is in world units, so the scale of the scene
 //! has no effect. Other instances touch the surface without a gap.
 
-use super::cone::{AO_TANGENT, Cone, ConeShare, ConeSum, ConeWalk, Decision, RayPast, WideCone};
+use super::cone::{Cone, ConeShare, ConeSum, ConeWalk, Decision, RayPast};
 use super::far_field::{Far, FarLevel, Split};
 use super::light_rays::{LightCone, LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
 use super::occluder::{NearList, Occluder, ray_in_field};
-use crate::gpu::constants::scene_beams::END_FADE;
+use crate::scene::content::instance::Instance;
 use crate::scene::content::model::Scene;
 use crate::scene::content::tree::Line;
 use crate::scene::fields::field::FieldHit;
@@ -60,12 +60,24 @@ pub(crate) struct TracedScene<'a> {
 
 /// The objects that a search along a ray tests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Blocking {
+pub(crate) enum Blocking {
     All,
     /// The triangles of meshes.
     Faces,
     /// The fields of all objects but meshes.
     Fields,
+}
+
+impl Blocking {
+    /// Whether the rays of a search test an instance.
+    pub(crate) fn includes(self, instance: &Instance) -> bool {
+        let has_faces = instance.casting_triangles().is_some();
+        match self {
+            Self::All => has_faces || instance.casting_field().is_some(),
+            Self::Faces => has_faces,
+            Self::Fields => !has_faces,
+        }
+    }
 }
 
 impl<'a> TracedScene<'a> {
@@ -139,21 +151,14 @@ impl<'a> TracedScene<'a> {
         }
     }
 
-    /// Adds the far field to the results of a cone; `wide` is set for a cone of occlusion. Returns whether the far
+    /// Adds the far field to the results of a cone. Returns whether the far
     /// field was evaluated.
-    pub(crate) fn add_far(
-        &self,
-        split: &Split,
-        cone: LightCone<'_>,
-        wide: Option<&WideCone<'_>>,
-        sum: &mut ConeSum,
-        work: &mut LightWork,
-    ) -> bool {
+    pub(crate) fn add_far(&self, split: &Split, cone: LightCone<'_>, sum: &mut ConeSum, work: &mut LightWork) -> bool {
         let is_far = split.far.is_some() && sum.opaque.x > -1.0;
         if is_far {
             for far in self.far_occluders(split, cone.place, cone.ray) {
                 let x_limit = sum.opaque.x;
-                self.add_cone(&far, cone, x_limit, wide, sum, work);
+                self.add_cone(&far, cone, x_limit, sum, work);
                 if sum.opaque.x <= -1.0 {
                     break;
                 }
@@ -162,28 +167,19 @@ impl<'a> TracedScene<'a> {
         is_far
     }
 
-    /// Adds one occluder to the results of a cone; `wide` is set for a cone of occlusion. Returns the result for this
-    /// occluder. For an occluder that is tested by thin rays, returns only whether the cone may touch it.
-    pub(crate) fn add_cone(
+    /// Adds one occluder to the results of a cone.
+    fn add_cone(
         &self,
         occluder: &Occluder<'_>,
         cone: LightCone<'_>,
         x_limit: f32,
-        wide: Option<&WideCone<'_>>,
         sum: &mut ConeSum,
         work: &mut LightWork,
-    ) -> Cone {
-        // The slope of a wide cone is a sine; rays in it need the tangent.
-        let slope = if wide.is_some() { AO_TANGENT } else { cone.slope };
-        if let Some(found) = self.add_thin(occluder, LightCone { slope, ..cone }, sum, work) {
-            return found;
+    ) {
+        if self.add_thin(occluder, cone, sum, work).is_none() {
+            let found = self.cone_past(occluder, cone, x_limit, work);
+            sum.add(occluder.instance, found);
         }
-        let found = match wide {
-            Some(wide) => self.wide_cone_past(occluder, cone, wide, x_limit, work),
-            None => self.cone_past(occluder, cone, x_limit, work),
-        };
-        sum.add(occluder.instance, found);
-        found
     }
 
     /// Adds an occluder that is tested by thin rays. `None` for all others.
@@ -202,7 +198,7 @@ impl<'a> TracedScene<'a> {
             return Some(Cone::FREE);
         }
         sum.thin.block(occluder.instance.shade, ray, slope, |thin| self.hit_of(occluder, place, thin, work).is_some());
-        Some(Cone { x: 0.0, is_covered: false, beside: 1.0 })
+        Some(Cone { x: 0.0, is_covered: false })
     }
 
     /// Adds one occluder to the results of a cone to the whole light. The edge is known only as -1, 0 or 1 radii: the
@@ -221,8 +217,8 @@ impl<'a> TracedScene<'a> {
         let mut steps = 0;
         let found = match walk.decide(&mut steps, |from| self.walk_hit(occluder, &walk, from, work)) {
             Decision::Free => Cone::FREE,
-            Decision::Blocked(t) if walk.inside(t, None, &mut steps).0 <= -1.0 => Cone::COVERED,
-            _ => Cone { x: 0.0, is_covered: false, beside: 1.0 },
+            Decision::Blocked(t) if walk.inside(t, &mut steps).0 <= -1.0 => Cone::COVERED,
+            _ => Cone { x: 0.0, is_covered: false },
         };
         work.steps += steps;
         sum.add(occluder.instance, found);
@@ -273,13 +269,13 @@ impl<'a> TracedScene<'a> {
         for &item in in_cone {
             let x_limit = sum.x_limit(&self.scene.instances[item as usize]);
             for occluder in self.occluders(item, cone.place, cone.ray, &split) {
-                self.add_cone(&occluder, cone, x_limit, None, &mut sum, work);
+                self.add_cone(&occluder, cone, x_limit, &mut sum, work);
             }
             if sum.opaque.x <= -1.0 {
                 break;
             }
         }
-        let is_far = self.add_far(&split, cone, None, &mut sum, work);
+        let is_far = self.add_far(&split, cone, &mut sum, work);
         work.count(is_far);
         sum.share().share
     }
@@ -311,12 +307,7 @@ impl<'a> TracedScene<'a> {
         let split = self.split(place, ray, 0.0);
         let mut share = 1.0;
         self.walk(LightCone { place, ray, slope: 0.0 }, &split, |item, limit| {
-            let has_faces = self.scene.instances[item as usize].casting_triangles().is_some();
-            let is_tested = match blocking {
-                Blocking::All => true,
-                Blocking::Faces => has_faces,
-                Blocking::Fields => !has_faces,
-            };
+            let is_tested = blocking.includes(&self.scene.instances[item as usize]);
             let passes = if is_tested { self.past_instance(item, place, ray, &split, work) } else { 1.0 };
             share *= passes;
             if let Some(near) = self.near.filter(|_| passes <= 0.0) {
@@ -387,7 +378,7 @@ impl<'a> TracedScene<'a> {
     }
 
     /// The levels of the far field on their pieces of a ray.
-    fn far_occluders(
+    pub(crate) fn far_occluders(
         &self,
         split: &Split,
         place: &'a SurfacePoint,
@@ -403,7 +394,7 @@ impl<'a> TracedScene<'a> {
     }
 
     /// The position at which a ray enters an occluder, scene units.
-    fn hit_of(
+    pub(crate) fn hit_of(
         &self,
         occluder: &Occluder<'_>,
         place: &SurfacePoint,
@@ -442,86 +433,55 @@ impl<'a> TracedScene<'a> {
         let found = walk.beside(x_limit, &mut steps, |from| self.walk_hit(occluder, &walk, from, work));
         work.steps += steps;
         match found {
-            Ok(x) => Cone { x, is_covered: false, beside: 1.0 },
-            Err(t) => self.blocked_cone(occluder, &walk, t, cone, None, work),
+            Ok(x) => Cone { x, is_covered: false },
+            Err(t) => self.blocked_cone(occluder, &walk, t, cone, work),
         }
     }
 
-    /// Evaluates a wide cone of occlusion past one occluder in fewer steps: see [`ConeWalk::beside_wide`].
-    fn wide_cone_past(
-        &self,
-        occluder: &Occluder<'_>,
-        cone: LightCone<'_>,
-        wide: &WideCone<'_>,
-        x_limit: f32,
-        work: &mut LightWork,
-    ) -> Cone {
-        let Some(walk) = occluder.cone_walk(cone, 1.0) else { return Cone::FREE };
-        let mut steps = 0;
-        let hit_from = |from| occluder.hit_in_field(walk.ray, f64::from(from), work).map(|hit| hit.t);
-        let found = walk.beside_wide(wide, x_limit, &mut steps, hit_from);
-        work.steps += steps;
-        match found {
-            Ok(x) => Cone { x: x.max(wide.least_x), is_covered: false, beside: 1.0 },
-            Err(t) => self.blocked_cone(occluder, &walk, t, cone, Some(wide), work),
-        }
-    }
-
-    /// Evaluates a cone whose axis enters an occluder at `t_hit`; `wide` is set for a cone of occlusion.
+    /// Evaluates a cone whose axis enters an occluder at `t_hit`.
     fn blocked_cone(
         &self,
         occluder: &Occluder<'_>,
         walk: &ConeWalk<'_>,
         t_hit: f32,
         cone: LightCone<'_>,
-        wide: Option<&WideCone<'_>>,
         work: &mut LightWork,
     ) -> Cone {
         let ray = cone.ray;
-        let deepest = walk.inside(t_hit, wide.map(|wide| &wide.ball), &mut work.steps);
+        let deepest = walk.inside(t_hit, &mut work.steps);
         if deepest.0 <= -1.0 {
             return Cone::COVERED;
         }
         let axes = basis(ray.direction).map(|axis| axis.as_vec3());
         let (rays, count) = walk.rays_past(deepest, axes, &mut work.steps);
-        let (mut most, mut most_own) = (0.0f32, 0.0f32);
+        let mut most = 0.0f32;
         for past in &rays[..count] {
             if past.most <= most {
                 break;
             }
-            let [own, all] = self.clearance_past(occluder, past, cone, most, wide, work);
-            (most_own, most) = (most_own.max(own), most.max(all));
+            most = most.max(self.clearance_past(occluder, past, cone, most, work));
         }
-        let mut beside = if most_own > 0.0 { most / most_own } else { 1.0 };
-        if wide.is_some() {
-            // The end of the cone is open: an occluder at the end of the reach fades out.
-            let fade = 1.0 - (ray.t_max as f32 - t_hit) / (END_FADE * walk.slope * ray.t_max as f32);
-            most = most_own.max(fade);
-            beside = beside.max(fade);
-        }
-        Cone { x: most * (1.0 + deepest.0) - 1.0, is_covered: false, beside }
+        Cone { x: most * (1.0 + deepest.0) - 1.0, is_covered: false }
     }
 
-    /// The least clearances of a ray past an edge of an occluder, beside that occluder and beside all other opaque ones
-    /// too: radii of the ray's narrow cone, from 0 to 1. The search ends if the second one is at most `least`.
+    /// The least clearance of a ray past an edge of an occluder, beside that occluder and all other opaque ones: radii
+    /// of the ray's narrow cone, from 0 to 1. The search ends if it is at most `least`.
     fn clearance_past(
         &self,
         occluder: &Occluder<'_>,
         past: &RayPast,
         LightCone { place, ray, .. }: LightCone<'_>,
         least: f32,
-        wide: Option<&WideCone<'_>>,
         work: &mut LightWork,
-    ) -> [f32; 2] {
+    ) -> f32 {
         let direction = ray.direction + past.offset.as_dvec3();
         let length = direction.length();
         let ray = LightRay { direction: direction / length, t_max: ray.t_max * length };
         let cone = LightCone { place, ray: &ray, slope: past.slope };
         let split = self.split(place, &ray, past.slope);
         // The occluder itself is the likeliest to be near.
-        let own = past.most.min(self.clearance_beside(occluder, cone, past.most, work));
-        let mut clearance = own;
-        let mut pass = |item: u32, limit: f32| {
+        let mut clearance = past.most.min(self.clearance_beside(occluder, cone, past.most, work));
+        let pass = |item: u32, limit: f32| {
             for other in self.occluders(item, place, &ray, &split) {
                 // `occluder` is all of its instance, unless a far field divides the ray.
                 let is_same = std::ptr::eq(other.instance, occluder.instance);
@@ -534,22 +494,13 @@ impl<'a> TracedScene<'a> {
         };
         let line = Line::cone(place.p.as_vec3(), ray.direction.as_vec3(), past.slope);
         let reach = self.reach(&split, &ray);
-        match wide {
-            None => self.scene.tree.walk(&line, reach, pass),
-            Some(wide) => {
-                let (offset, width) = (past.offset.length(), past.slope * length as f32);
-                wide.beside.along(place.p.as_vec3(), ray.direction.as_vec3(), offset, width, |item| {
-                    let bounds = &self.scene.boxes[item as usize];
-                    line.span(bounds.min, bounds.max, reach).is_none() || pass(item, reach) >= 0.0
-                });
-            }
-        }
+        self.scene.tree.walk(&line, reach, pass);
         if split.far.is_some() && clearance > least {
             for far in self.far_occluders(&split, place, &ray) {
                 clearance = clearance.min(self.clearance_beside(&far, cone, clearance, work));
             }
         }
-        [own, clearance]
+        clearance
     }
 
     /// The clearance of the axis of a narrow cone beside one occluder in radii, from 0 to 1. A clearance above

@@ -3,13 +3,12 @@
 use super::light_buffer::{LightBuffer, parts_of, stride};
 use super::pass::Pass;
 use crate::error::{DeviceError, Error};
-use crate::gpu::constants::scene_beams::AO_CONES;
 use crate::gpu::layout::{Beam, BeamResult};
 use crate::scene::content::options::SceneShadows;
-use crate::scene::device::device_scene::{DeviceScene, WIDE, beam, work_of};
-use crate::scene::light::cone::AO_SLOPE;
+use crate::scene::device::device_scene::{DeviceScene, beam, work_of};
 use crate::scene::light::light_rays::{LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
 use crate::scene::light::lit_surface::{LightSampleMut, LitSurface};
+use crate::scene::light::occlusion::RAYS;
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -26,7 +25,8 @@ pub(crate) fn evaluate_by_beams(
 ) -> Result<(), Error> {
     // Rows are processed in bunches that fit into the memory for beams. A beam has 64 bytes.
     let rays = if let SceneShadows::Area(count) = pass.options.shadows { count } else { PARTS } as usize;
-    let beams_per_layer = pass.lights.lights.len().max(1) * rays + AO_CONES;
+    let open_rays = if has_open_beams(pass) { RAYS } else { 0 };
+    let beams_per_layer = pass.lights.lights.len().max(1) * rays + open_rays;
     let mut bunch = Vec::new();
     for y in 0..evaluated.rows.len() {
         for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
@@ -94,30 +94,32 @@ struct Batch {
     beams: std::iter::Zip<std::vec::IntoIter<Beam>, std::vec::IntoIter<BeamResult>>,
     /// The narrow cones of discs for which one cone was not sufficient.
     parts: std::vec::IntoIter<BeamResult>,
-    /// Fractions past triangles, which the CPU traces: one for each ray and cone of occlusion, and one for each part of
-    /// a disc. Empty if no triangles block the light.
+    /// Fractions past triangles, which the CPU traces: one for each ray, and one for each part of a disc. Empty if no
+    /// triangles block the light.
     past_faces: std::vec::IntoIter<f32>,
 }
 
 impl Batch {
     fn run(pass: &Pass<'_>, device: &DeviceScene, beams: Vec<Beam>, past_faces: Vec<f32>) -> Result<Self, Error> {
-        let has_wide = pass.options.occlusion.is_some();
-        let first = device.shares(pass.traced, has_wide, &beams, pass.progress)?;
+        let first = device.shares(pass.traced, &beams, pass.progress)?;
         let undecided = beams.iter().zip(&first).filter(|(beam, beam_result)| is_undecided(beam, beam_result));
         let parts: Vec<Beam> = undecided.flat_map(|(beam, _)| parts_of_disc(beam)).collect();
-        let second = device.shares(pass.traced, has_wide, &parts, pass.progress)?;
+        let second = device.shares(pass.traced, &parts, pass.progress)?;
         Ok(Self { beams: beams.into_iter().zip(first), parts: second.into_iter(), past_faces: past_faces.into_iter() })
     }
 
     /// The fraction of the next beam, and its work; `None` if there are no more results.
     fn next(&mut self, work: &mut LightWork) -> Option<f32> {
         let (beam, beam_result) = self.beams.next()?;
-        *work += work_of(&beam_result);
         let count = if is_disc(&beam) { PARTS as usize } else { 1 };
         let mut past_faces = [1.0; PARTS as usize];
         for (share, found) in past_faces[..count].iter_mut().zip(self.past_faces.by_ref()) {
             *share = found;
         }
+        let own_work = work_of(&beam_result);
+        // Triangles block the light before the far field.
+        let is_blocked = past_faces[..count].iter().all(|share| *share <= 0.0);
+        *work += LightWork { far_rays: if is_blocked { 0 } else { own_work.far_rays }, ..own_work };
         if !is_undecided(&beam, &beam_result) {
             return Some(beam_result.value * past_faces[..count].iter().sum::<f32>() / count as f32);
         }
@@ -169,13 +171,17 @@ impl DeviceResults {
         let mut work = self.works.next().unwrap_or_default();
         let scene = pass.traced.scene;
         *found.open = 1.0;
-        if let Some(distance) = pass.options.occlusion {
-            let (mut sum, mut weights) = (0.0, 0.0);
-            for (_, weight) in surface.place.open_rays(distance / scene.scale) {
-                sum += weight * self.direct.next(&mut work)?;
-                weights += weight;
+        if pass.options.occlusion.is_some() {
+            let mut sum = 0.0;
+            for _ in 0..RAYS {
+                sum += if has_open_beams(pass) {
+                    self.direct.next(&mut work)?
+                } else {
+                    work.count(false);
+                    self.direct.past_faces.next().unwrap_or(1.0)
+                };
             }
-            *found.open = sum / weights;
+            *found.open = sum / RAYS as f32;
         }
         for (i, light) in pass.lights.lights.iter().enumerate() {
             let (ray, slope, _) = light.seen_from(surface.place.p);
@@ -255,12 +261,17 @@ fn past_faces<T: Sync>(
     Ok((found.concat(), works))
 }
 
-/// Appends the beams of a surface: first the cones of occlusion, then for each light one beam, or all rays of an area
+/// Whether the device traces rays of occlusion: fields may block them. The CPU traces the triangles.
+fn has_open_beams(pass: &Pass<'_>) -> bool {
+    pass.options.occlusion.is_some() && (pass.traced.scene.has_fields || pass.traced.far.is_some())
+}
+
+/// Appends the beams of a surface: first the rays of occlusion, then for each light one beam, or all rays of an area
 /// light. The rays whose length inside the own instance is needed are appended to `inside`.
 fn first_beams(pass: &Pass<'_>, surface: &LitSurface<'_>, beams: &mut Vec<Beam>, inside: &mut Vec<Beam>) {
-    if let Some(distance) = pass.options.occlusion {
-        let cones = surface.place.open_rays(distance / pass.traced.scene.scale);
-        beams.extend(cones.map(|(ray, _)| Beam { is_coarse: WIDE, ..beam(&surface.place, &ray, AO_SLOPE) }));
+    if let Some(distance) = pass.options.occlusion.filter(|_| has_open_beams(pass)) {
+        let hemisphere = surface.hemisphere(distance / pass.traced.scene.scale);
+        beams.extend(hemisphere.rays().map(|ray| beam(&surface.place, &ray, 0.0)));
     }
     for light in &pass.lights.lights {
         let (ray, slope, _) = light.seen_from(surface.place.p);
@@ -296,7 +307,7 @@ fn parts_of_disc(disc: &Beam) -> impl Iterator<Item = Beam> {
     })
 }
 
-/// Whether the cone to a light's disc must be divided. The cones of occlusion are never divided.
+/// Whether the cone to a light's disc must be divided.
 fn is_undecided(beam: &Beam, beam_result: &BeamResult) -> bool {
     is_disc(beam) && beam_result.is_proven == 0
 }

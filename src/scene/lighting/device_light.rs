@@ -84,7 +84,7 @@ pub(crate) fn light_faces(pass: &Pass<'_>, device: &DeviceScene, evaluated: &mut
     let buffers = device.light.on(context, &device.groups, chunk * tile_results)?;
     context.write("view of surfaces", &buffers.view, 0, &[view])?;
     buffers.set_beam_params(context, DeviceScene::beam_params(pass.traced))?;
-    let cases = BeamCases { has_far: pass.traced.far.is_some(), has_wide: false };
+    let cases = BeamCases { has_far: pass.traced.far.is_some() };
     let work = FaceLight::new(device, visible, corners, &buffers, [has_cones, has_rays], cases)?;
     let cost = (faces * lights) as f64 / tiles.places() as f64;
     for start in (0..tiles.places()).step_by(chunk as usize) {

@@ -21,7 +21,7 @@ use crate::scene::content::options::{RenderOptions, SceneShadows};
 use crate::scene::light::bounces::{Bounces, Paths};
 use crate::scene::light::light_rays::LightWork;
 use crate::scene::light::lit_surface::{Lights, LitSurface};
-use crate::scene::light::occlusion::Occluders;
+use crate::scene::light::occlusion::NearOccluders;
 use crate::scene::visibility::gbuffer::GBuffer;
 use rayon::prelude::*;
 
@@ -200,7 +200,7 @@ fn evaluate_row(
     is_requested: &(dyn Fn(u32, u32) -> bool + Sync),
     [lights, stride]: [usize; 2],
 ) -> Result<(), Error> {
-    let (mut total, mut occluders) = (LightWork::default(), Occluders::default());
+    let (mut total, mut occluders) = (LightWork::default(), NearOccluders::default());
     for (i, layer) in pass.buffer.rows[y].iter().enumerate() {
         if !row.is_evaluated[i] && is_requested(layer.x, y as u32) {
             let surface = LitSurface::new(pass.traced.scene, pass.buffer, y, layer);

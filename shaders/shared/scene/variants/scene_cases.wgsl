@@ -3,5 +3,3 @@
 
 // Whether the scene has a far field.
 const HAS_FAR: bool = true;
-// Whether some cones are occlusion cones.
-const HAS_WIDE: bool = true;
