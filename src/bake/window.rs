@@ -11,7 +11,7 @@ use crate::grid::Grid;
 use crate::memory::allocate_samples;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
-use crate::sign::{SignChoice, SignMethod, SignRule};
+use crate::sign::{SideWalk, SignChoice, SignMethod, SignRule};
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -62,23 +62,31 @@ pub fn sides_of_balls(
     progress: &Progress,
 ) -> Result<(Vec<f64>, Vec<i8>), Error> {
     rayon::join(|| mesh.bvh(), || mesh.topology());
-    let rule = SignChoice::new(mesh, method).rule;
+    let made;
+    let rule = match method {
+        SignMethod::Auto | SignMethod::Winding => &mesh.winding_choice().rule,
+        _ => {
+            made = SignChoice::new(mesh, method);
+            &made.rule
+        }
+    };
     let (mut distances, mut sides) = (vec![0.0; centers.len()], vec![0i8; centers.len()]);
     distances.par_chunks_mut(CHUNK).zip(sides.par_chunks_mut(CHUNK)).enumerate().try_for_each(
         |(chunk, (distances, sides))| {
+            let mut walk = SideWalk::default();
             for i in 0..distances.len() {
                 let place = chunk * CHUNK + i;
                 let p = mesh.local_from_world(DVec3::from_array(centers[place]));
                 let closest = mesh.closest_point(p);
                 distances[i] = closest.distance * mesh.scale();
                 let radius = radii[place] / mesh.scale();
-                let is_uniform = match &rule {
+                let is_uniform = || match rule {
                     SignRule::Counted(openings) => openings.is_uniform_within(p, radius),
                     SignRule::Unsigned => true,
                     SignRule::Winding | SignRule::Parity | SignRule::Pseudonormal | SignRule::Normal => false,
                 };
-                if radius < closest.distance * (1.0 - ROUNDING) && is_uniform {
-                    sides[i] = if rule.is_inside(mesh, p, &closest) { -1 } else { 1 };
+                if radius < closest.distance * (1.0 - ROUNDING) && is_uniform() {
+                    sides[i] = if walk.is_inside(rule, mesh, p, &closest) { -1 } else { 1 };
                 }
             }
             progress.check()

@@ -327,6 +327,14 @@ def in_plane_of(section, curve, normal) -> np.ndarray:
     return curve @ (axes @ section.plane[:3, :2]) if tuple(normal) == (0, 1, 1) else curve
 
 
+@pytest.mark.parametrize("factor", [1e-6, 1e-3])
+def test_fields_of_any_scale_have_the_same_sections(factor):
+    solid = fb.sphere(1).times(factor)
+    assert solid.section((0, 0, 0), "z").area == pytest.approx(np.pi, rel=1e-3)
+    volume = fb.bake(solid, 64)
+    assert volume.section((0, 0, 0), "z").area == pytest.approx(np.pi, rel=3e-3)
+
+
 def test_vertices_lie_on_the_zero_level():
     shape = (fb.box(2) - fb.sphere(1.2)).rotate("x", 20)
     section = shape.section((0, 0, 0.1), (1, 2, 3))

@@ -106,6 +106,65 @@ def test_a_bright_pixel_is_exactly_the_inside(name):
     assert count >= 1_000_000
 
 
+def ball_with_windows() -> meshes.Geometry:
+    """A ball without a cap at two sides. Its winding number passes 1/2 many pixels away from the faces."""
+    vertices, faces = meshes.icosphere(4)
+    heights = vertices[faces].mean(axis=1)[:, 0]
+    return vertices, faces[(heights < 0.6) & (heights > -0.9)]
+
+
+def wrong_pixels(mesh, layers) -> int:
+    sides = (fb.contains(mesh, centers(layers, index)) for index in range(len(layers)))
+    return sum(((layers.image(i) >= 128).ravel() != inside).sum() for i, inside in enumerate(sides))
+
+
+def test_the_side_changes_in_the_openings_of_a_mesh():
+    mesh = fb.Mesh(*ball_with_windows())
+    layers = fb.slices(mesh, 0.1, pixel=0.02)
+    assert wrong_pixels(mesh, layers) == 0
+    bright = sum((layers.image(i) >= 128).sum() for i in range(len(layers)))
+    assert layers.areas.sum() == pytest.approx(bright * 0.02**2, rel=2e-3)
+
+
+def test_the_side_changes_everywhere_in_loose_triangles():
+    mesh = fb.Mesh(*meshes.soup(400))
+    assert wrong_pixels(mesh, fb.slices(mesh, 0.1, pixel=0.02)) == 0
+
+
+def test_the_side_changes_in_the_openings_of_a_real_mesh(model_path):
+    mesh = fb.load_mesh(model_path("stanford-bunny.obj"))
+    size = np.ptp(mesh.bounds, axis=0)
+    layers = fb.slices(mesh, size[2] / 12, pixel=size[:2].max() / 150)
+    assert wrong_pixels(mesh, layers) == 0
+
+
+@pytest.mark.parametrize("depth", [1e-6, 1e-7, 1e-8, 1e-10, -1e-10, -1e-8, -1e-7])
+@pytest.mark.parametrize("degrees", [0, 1, 45, 89])
+def test_the_center_of_a_bright_pixel_is_just_inside(depth, degrees):
+    """The middle of the wall x = 0.5 of a box, turned about y, is beside the centre of the pixel (0, 0)."""
+    turned = fb.box(1).translate((-0.5, 0, 0)).rotate("y", degrees)
+    solid = turned.translate((depth / np.cos(np.radians(degrees)), 0, 0))
+    layers = fb.slices(solid, 0.1, pixel=0.05, bounds=[(-0.025, -0.025, -0.05), (0.025, 0.025, 0.05)])
+    exact = solid.distance([(0, 0, 0)], dtype="float64")[0]
+    assert (exact < 0) == (depth > 0)
+    assert (layers.image(0)[0, 0] >= 128) == (depth > 0)
+
+
+@pytest.mark.parametrize("field", [lambda solid: solid, lambda solid: fb.bake(solid, 32)])
+def test_fields_of_any_scale_have_the_same_layers(field):
+    solid = fb.sphere(1) | fb.box((1, 1, 0.5)).translate((1.5, 0, 0))
+    truth = fb.slices(field(solid), 0.25, pixel=0.05)
+    for factor in (1e-6, 1e-3):
+        layers = fb.slices(field(solid.times(factor)), 0.25, pixel=0.05)
+        assert layers.areas.tolist() == pytest.approx(truth.areas.tolist(), rel=1e-4)
+        for index in range(len(truth)):
+            different = (layers.image(index) >= 128) != (truth.image(index) >= 128)
+            assert (np.abs(truth.image(index)[different] - 127.5) < 1).all()  # rounding at centres on the surface
+    one = fb.slices(fb.sphere(1), 0.25, pixel=0.05)
+    mixed = fb.slices(fb.sphere(1).times(1e-6) | fb.sphere(1).translate((3, 0, 0)), 0.25, pixel=0.05)
+    assert mixed.areas.tolist() == pytest.approx((2 * one.areas).tolist(), rel=1e-4)
+
+
 @pytest.mark.parametrize("name", ["turned_box", "volume", "sparse"])
 def test_images_are_distances_in_pixels(name):
     solid, _, _ = SHAPES[name]()
@@ -200,7 +259,13 @@ def test_a_layer_between_the_sides_of_a_foil_is_inside():
     assert (foil.image(2) >= 128).sum() == 200 * 20
 
 
-@pytest.mark.parametrize("solid", [fb.bake(fb.box((1, 1, 0.6)), 40), fb.box((1, 1, 0.6))])
+PLATE = fb.box((1, 1, 0.6))
+
+
+@pytest.mark.parametrize(
+    "solid",
+    [PLATE, PLATE.rotate("z", 30), PLATE.times(1e-6), fb.bake(PLATE, 40), fb.bake(PLATE.times(1e-6), 40)],
+)
 def test_the_image_and_the_outlines_agree_in_a_flat_face(solid):
     for height in (0.3, 0.3 - 1e-10):
         flat = fb.slices(solid, 0.1, pixel=0.05, bounds=[(-1, -1, height - 0.05), (1, 1, height + 0.05)])

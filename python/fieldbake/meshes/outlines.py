@@ -51,14 +51,18 @@ class PlaneField:
     slope : float
         Bound on the change of the field per world unit; infinite if it is not known.
     noise : float
-        Rounding of the values. Smaller magnitudes count as outside, so that a face in the plane takes one side of it,
-        except on a common face of two parts: there both sides of the plane are inside.
+        Rounding of the values, world units. Smaller magnitudes count as outside, so that a face in the plane takes one
+        side of it, except on a common face of two parts: there both sides of the plane are inside.
+    sides : callable, optional
+        Distances (n,) of the centres (n, 3) of balls with radii (n,) from the surface, world units, and the side of
+        each ball: 1 outside, -1 inside, 0 if it may have points on both sides. Without it, the slope decides.
     """
 
     values: Callable[[Array], NDArray[Any]]
     frame: Array
     slope: float = math.inf
     noise: float = 0.0
+    sides: Callable[[Array, Array], tuple[Array, NDArray[np.int8]]] | None = None
 
     def world(self, x: Array, y: Array) -> Array:
         """World positions (n, 3) of points of the plane."""
@@ -73,13 +77,41 @@ class PlaneField:
         return found
 
     def _joined(self, points: Array) -> NDArray[Any]:
-        """Values at points of the plane (n, 3), without the zeros on common faces of two parts."""
+        """Values at points of the plane (n, 3), without the zeros on common faces of two parts.
+
+        Magnitudes up to the rounding are divided by the slope of the field where that is below 1, so that they are
+        distances in a field of any scale.
+        """
         found = self.values(points)
         rows = np.flatnonzero(np.abs(found) <= self.noise)
         if self.noise > 0 and len(rows):
-            step = LIFT * self.noise * self.frame[:3, 2]
-            beside = np.maximum(self.values(points[rows] - step), self.values(points[rows] + step))
-            found[rows] = np.where(beside < -self.noise, beside, found[rows])
+            step = LIFT * self.noise
+            # Along the normal, both ways. Along the plane, for the slope of a field that is no distance.
+            ways = self.frame[:3, [2, 2, 0, 1] if self.sides is None else [2, 2]].T * step
+            ways[0] *= -1
+            around = self.values((points[rows] + ways[:, None]).reshape(-1, 3)).reshape(len(ways), -1)
+            own, beside = found[rows].astype(np.float64), around[:2].max(axis=0)
+            slope = np.ones(len(rows))
+            if self.sides is None:
+                slope = np.clip(np.abs(around - own).max(axis=0) / step, np.finfo(np.float32).tiny, 1.0)
+            found = found.astype(np.float64)
+            found[rows] = np.where(beside < -self.noise * slope, beside, own) / slope
+        return found
+
+    def flat(self, x: Array, y: Array, reach: tuple[float, float], noise: float) -> NDArray[np.bool_]:
+        """Whether a face lies in the plane at points where the field is zero but for rounding, (n,).
+
+        Along both axes of the plane, the field is zero also at one of the two points at the distances `reach`.
+        Magnitudes up to `noise` times the slope across the plane count as zero.
+        """
+        here = self.world(x, y)
+        across = LIFT * self.noise * self.frame[:3, 2]
+        change = self.values(here + across).astype(np.float64) - self.values(here - across)
+        largest = noise * np.abs(change) / (2 * LIFT * self.noise)
+        found = np.ones(len(x), np.bool_)
+        for axis, side in enumerate(reach):
+            along = side * self.frame[:3, axis]
+            found &= np.minimum(*(np.abs(self.values(here + step)) for step in (along, -along))) <= largest
         return found
 
     def rounding(self, x: Array, y: Array) -> float:
@@ -95,7 +127,7 @@ class PlaneField:
         """
         size = np.array([len(y), len(x)])
         found = np.empty(size, np.float32)
-        if not math.isfinite(self.slope):
+        if self.sides is None and not math.isfinite(self.slope):
             step = max(1, BATCH // len(x))
             for first in range(0, len(y), step):
                 some = y[first : first + step]
@@ -109,11 +141,12 @@ class PlaneField:
         for side, finer in zip(BLOCKS, (*BLOCKS[1:], 0), strict=True):
             ends = np.minimum(starts + side, size) - 1
             low, high = (np.stack([x[nodes[:, 1]], y[nodes[:, 0]]]) for nodes in (starts, ends))
-            centers = self.at(*(0.5 * (low + high)))
-            radii = 0.5 * np.hypot(*(high - low))
-            # The factor covers the rounding of float32.
-            near = np.abs(centers) * (1 - 1e-5) <= self.slope * radii + reach
-            done = np.flatnonzero(~near) if finer else np.arange(len(starts))
+            (middle_x, middle_y), radii = 0.5 * (low + high), 0.5 * np.hypot(*(high - low))
+            if finer:
+                centers, near = self._balls(middle_x, middle_y, radii, reach)
+            else:
+                centers, near = self.at(middle_x, middle_y), np.zeros(len(radii), np.bool_)
+            done = np.flatnonzero(~near)
             rows, columns = (
                 np.minimum(starts[done, axis, None] + np.arange(side), ends[done, axis, None]) for axis in (0, 1)
             )
@@ -123,6 +156,16 @@ class PlaneField:
                 starts = (starts[near, None] + inner).reshape(-1, 2)
                 starts = starts[(starts < size).all(axis=1)]
         return found
+
+    def _balls(self, x: Array, y: Array, radii: Array, reach: float) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Values at the centres of balls, (n,), and whether points of them may have another side or lie in `reach`."""
+        points = self.world(x, y)
+        if self.sides is not None:
+            distances, sides = self.sides(points, radii + reach)
+            return distances * sides, sides == 0
+        found = self.values(points)
+        # The factor covers the rounding of float32.
+        return found, np.abs(found) * (1 - 1e-5) <= self.slope * radii + reach
 
     def outlines(self, x: Array, y: Array) -> list[Array]:
         """Loops of the zero level, (m, 2) each, in the cells of a grid; the border of the grid closes them.

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _core
 from ..base import checks
-from ..base.errors import ArgumentError, FormatError
+from ..base.errors import ArgumentError, FormatError, ShapeError
 from ..base.progress import Progress, progress_callback
 from ..files.container import atomic_write, listed
 from ..files.svg import svg_path, svg_text
@@ -44,6 +44,9 @@ KEPT = 4
 #: A layer in the plane of flat faces is sliced this fraction of the longest side of the mesh outside them.
 LIFT = 10 * NOISE
 
+#: Distance from the centre of a pixel to the points that show a flat face, pixels.
+BESIDE = 0.25
+
 #: Flat faces within this fraction of the lift lie in one plane: the rounding of float64 positions.
 SAME = 1e-3
 
@@ -57,6 +60,10 @@ class Solid:
     slope: float = math.inf
     #: Rounding of the values, as a fraction of the longest side of the box; 0 if their signs are exact.
     noise: float = NOISE
+    #: Values with the exact sign, for points where the rounding may have changed it.
+    exact: Callable[[Array], NDArray[Any]] | None = None
+    #: Distances and sides of balls, as in `PlaneField`.
+    sides: Callable[[Array, Array], tuple[Array, NDArray[np.int8]]] | None = None
     cut: MeshCut | None = None
     #: The height at which a layer is sliced, from the height of its middle.
     height: Callable[[float], float] = float
@@ -65,7 +72,16 @@ class Solid:
 def _solid(geometry: Shape | GridField | Mesh, device: str) -> Solid:
     if isinstance(geometry, Shape):
         core = geometry._core
-        return Solid(lambda points: core.distance(points, device), lambda: geometry.bounds, geometry.lipschitz)
+
+        def exact(points: Array) -> NDArray[Any]:
+            try:
+                return core.distance_float64(points, device)
+            except ShapeError:  # the samples of a baked volume are float32
+                return core.distance(points, device)
+
+        return Solid(
+            lambda points: core.distance(points, device), lambda: geometry.bounds, geometry.lipschitz, exact=exact
+        )
     if isinstance(geometry, GridField):
         options = (device,) if isinstance(geometry, Volume) else ()
         return Solid(
@@ -74,14 +90,15 @@ def _solid(geometry: Shape | GridField | Mesh, device: str) -> Solid:
         )
     mesh, facts = geometry, geometry.topology()
     faults = facts["flipped_faces"] + facts["duplicate_faces"]
-    exact = facts["closed"] and not faults and not mesh._core.self_intersections()
+    is_exact = facts["closed"] and not faults and not mesh._core.self_intersections()
     return Solid(
         lambda points: _core.signed_distance(mesh._core, np.ascontiguousarray(points), sign="auto", device=device),
         lambda: mesh.bounds,
-        1.0,
-        0.0,
-        MeshCut(mesh.vertices, mesh.faces, np.array([0.0, 0.0, 1.0])) if exact else None,
-        _outside_of_flat_faces(mesh),
+        noise=0.0,
+        # The sides of an open mesh also change away from its faces, so its distances prove no sides.
+        sides=lambda centers, radii: _core.sides_of_balls(mesh._core, centers, radii),
+        cut=MeshCut(mesh.vertices, mesh.faces, np.array([0.0, 0.0, 1.0])) if is_exact else None,
+        height=_outside_of_flat_faces(mesh),
     )
 
 
@@ -189,8 +206,9 @@ class Slices:
         """Draw a layer, (height, width) uint8, read-only.
 
         Row 0 has the largest y. A pixel is ``255 * clip(1/2 - d / pixel, 0, 1)`` for the distance d at its centre. It
-        is rounded so that 128 and more means that the centre is inside. The side of oblong pixels counts as the
-        geometric mean of both sides.
+        is rounded so that 128 and more means that the centre is inside: by the float64 distance of a shape, the samples
+        of a volume, or :func:`contains` of a mesh. A layer in the plane of a flat face takes one side of the face. The
+        side of oblong pixels counts as the geometric mean of both sides.
 
         Raises
         ------
@@ -281,7 +299,7 @@ class Slices:
         what = f"a layer of {self._size[0]} x {self._size[1]} pixels"
         _core.require_memory(what, 12 * self._size[0] * self._size[1], "use larger pixels")
         noise *= float((self._bounds[1] - self._bounds[0]).max())
-        return PlaneField(self._solid.values, self._frame(index), self._solid.slope, noise)
+        return PlaneField(self._solid.values, self._frame(index), self._solid.slope, noise, self._solid.sides)
 
     def _places(self, offset: float, more: int) -> tuple[Array, Array]:
         x, y = (
@@ -292,14 +310,20 @@ class Slices:
     def _draw(self, index: int) -> NDArray[np.uint8]:
         side = math.sqrt(self._pixel[0] * self._pixel[1])
         field, places = self._field(index, self._solid.noise), self._places(0.5, 0)
-        distances = field.samples(*places, reach=0.5 * side)[::-1]
-        inside = distances < -field.rounding(*places)
+        distances = field.samples(*places, reach=0.5 * side)
+        inside = distances < 0
+        row, column = np.nonzero(np.abs(distances) <= field.noise)
+        if field.noise > 0 and len(row):
+            x, y = places[0][column], places[1][row]
+            is_inside = (self._solid.exact or field.values)(field.world(x, y)) < 0
+            reach = BESIDE * self._pixel[0], BESIDE * self._pixel[1]
+            inside[row, column] = is_inside & ~field.flat(x, y, reach, field.rounding(*places))
         shares = distances * np.float32(-255 / side)
         shares += 127.5
         image = np.rint(np.clip(shares, 0, 255, out=shares), out=shares).astype(np.uint8)
         np.maximum(image, 128, out=image, where=inside)
         np.minimum(image, 127, out=image, where=~inside)
-        return checks.frozen(image)
+        return checks.frozen(np.ascontiguousarray(image[::-1]))
 
     def _trace(self, index: int) -> tuple[Array, ...]:
         found = None
@@ -383,8 +407,8 @@ def slices(
     plane of a flat face of a mesh is sliced 2e-6 of the longest side of the mesh outside it, since the surface is no
     part of the inside. The common face of two parts of a shape or a volume is inside.
 
-    Distances of meshes and shapes are evaluated near the surface only, and the slope of the field proves the side of
-    the other pixels.
+    Distances of meshes and shapes are evaluated near the surface only. The slope of the field of a shape, and the
+    winding number of a mesh, prove the side of the other pixels.
 
     Examples
     --------
