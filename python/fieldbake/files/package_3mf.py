@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
@@ -22,8 +23,11 @@ _MODEL = "3D/3dmodel.model"
 #: Rows that are written at once, between which Ctrl-C ends the work.
 _ROW_BATCH = 1 << 16
 
-#: Largest part of a model that is read, bytes of XML. The functions of a model come before its meshes.
-_MOST_READ = 1 << 26
+#: Largest part of a model that is read at once, bytes of XML. The functions of a model come before its meshes.
+MOST_READ = 1 << 26
+
+#: Largest ratio of the sizes of a larger model and of its compressed bytes. Meshes have about 10.
+_MOST_COMPRESSED = 100
 
 _TYPES = (
     '<?xml version="1.0" encoding="UTF-8"?>\n'
@@ -94,10 +98,22 @@ def has_function(path: Path) -> bool:
 
 def read_model(stream: IO[bytes]) -> bytes:
     """Read the beginning of the model of a package, at most 64 MiB of XML."""
+    return next(model_parts(stream))
+
+
+def model_parts(stream: IO[bytes]) -> Iterator[bytes]:
+    """Read the model of a package in parts of 64 MiB of XML; the last one may be empty."""
     try:
         with zipfile.ZipFile(stream) as archive, archive.open(_MODEL) as member:
-            return member.read(_MOST_READ)
+            facts = archive.getinfo(_MODEL)
+            if facts.file_size > max(MOST_READ, _MOST_COMPRESSED * facts.compress_size):
+                raise FormatError(f"{_MODEL} is compressed {_MOST_COMPRESSED}-fold or more, which is not safe to read")
+            part = member.read(MOST_READ)
+            yield part
+            while part:
+                part = member.read(MOST_READ)
+                yield part
     except KeyError:
         raise FormatError(f"the package has no {_MODEL}") from None
-    except zipfile.BadZipFile as error:
+    except (zipfile.BadZipFile, zlib.error) as error:
         raise FormatError(f"is damaged or not a 3MF package ({error})") from None

@@ -3,8 +3,8 @@
 The field of a shape is a graph of arithmetic operations in the sense of the 3MF Volumetric and Implicit extensions
 (3MF Consortium, *Volumetric Extension*, namespace 2022/01, and *Implicit Extension*, namespace 2023/12). Each operation
 is a node with the inputs ``A`` to ``D``; the function has the input ``pos`` and the output ``shape``, negative inside.
-The metadata of the model are the shape as an s-expression and the SHA-256 of the function, from which
-:func:`fieldbake.load` makes the shape again.
+The metadata of the model are the shape as an s-expression, from which :func:`fieldbake.load` makes the shape again, and
+the SHA-256 of the model without this digest.
 """
 
 from __future__ import annotations
@@ -80,20 +80,14 @@ def save_function(
             raise type(error)(f"within: {error}") from error
         vertices, faces = mesh.vertices, mesh.faces
     graph = _graph_of(core)
-    function = "".join(_function_parts(graph))
-    own = {"sha256": hashlib.sha256(function.encode()).hexdigest()}
-    if not graph.images:
-        own["sexpr"] = core.to_sexpr()
+    own = "" if graph.images else _metadata("sexpr", core.to_sexpr())
     head = (
         '<?xml version="1.0" encoding="UTF-8"?>\n'
         f'<model unit="{unit}" xml:lang="en-US" xmlns="{package_3mf.CORE}" xmlns:v="{_VOLUMETRIC}" '
         f'xmlns:i="{_IMPLICIT}" xmlns:fieldbake="{_OWN}" requiredextensions="v i">'
-        f'<metadata name="Application">fieldbake {_core.__version__}</metadata>'
-        + "".join(f'<metadata name="fieldbake:{name}">{escape(text)}</metadata>' for name, text in own.items())
-        + "<resources>"
+        f'<metadata name="Application">fieldbake {_core.__version__}</metadata>{own}'
     )
     images = [_image(index, samples) for index, samples in enumerate(graph.images)]
-    parts = [head, *(text for text, _ in images), function, '<object id="2" type="other">']
     pictures = {path: picture for _, sheets in images for path, picture in sheets.items()}
     detail = "" if feature is None else f' minfeaturesize="{feature!r}"'
     tail = (
@@ -101,8 +95,21 @@ def save_function(
         f'meshbboxonly="{"true" if within is None else "false"}"{detail}/></object></resources>'
         '<build><item objectid="3"/></build></model>'
     )
+    begin = ["<resources>", *(text for text, _ in images), *_function_parts(graph), '<object id="2" type="other">']
+
+    def body() -> Iterator[str]:
+        return chain(begin, package_3mf.mesh_texts(vertices, faces), [tail])
+
+    # The digest is at the beginning of the model, and a stream cannot return there: the texts are made twice.
+    digest = hashlib.sha256(head.encode())
+    for text in body():
+        digest.update(text.encode())
     with atomic_write(target) as stream:
-        package_3mf.write(stream, chain(parts, package_3mf.mesh_texts(vertices, faces), [tail]), pictures)
+        package_3mf.write(stream, chain([head, _metadata("sha256", digest.hexdigest())], body()), pictures)
+
+
+def _metadata(name: str, text: str) -> str:
+    return f'<metadata name="fieldbake:{name}">{escape(text)}</metadata>'
 
 
 def check_unused(within: object, unit: str, min_feature: object) -> None:
@@ -225,29 +232,27 @@ def _image(index: int, samples: NDArray[np.float32]) -> tuple[str, dict[str, byt
 def read_function(stream: IO[bytes]) -> str:
     """Read the s-expression of a function that :func:`save_function` wrote.
 
-    Raises FormatError for a file without a function, for a function of another program or a changed one, and for a file
-    that is not safe to read.
+    Raises FormatError for a file without a function, for a function of another program, for a model that was changed,
+    and for a file that is not safe to read.
     """
-    model = package_3mf.read_model(stream)
+    parts = package_3mf.model_parts(stream)
+    model = next(parts)
     metadata: dict[str, str] = {}
     name: list[str] = []
     text: list[str] = []
-    start: list[int] = []
-    ends: list[int] = []
+    ends: list[str] = []
     parser = xml.parsers.expat.ParserCreate(namespace_separator=" ")
 
     def begin(element: str, attributes: dict[str, str]) -> None:
         if element == f"{package_3mf.CORE} metadata":
             name[:] = [attributes.get("name", "")]
             text.clear()
-        elif element == f"{_IMPLICIT} implicitfunction" and not start:
-            start.append(parser.CurrentByteIndex)
 
     def end(element: str) -> None:
         if element == f"{package_3mf.CORE} metadata" and name:
             metadata[name.pop()] = "".join(text)
         elif element == f"{_IMPLICIT} implicitfunction":
-            ends.append(parser.CurrentByteIndex)
+            ends.append(element)
 
     def refuse(*_: Any) -> None:
         raise FormatError("the model declares a document type, which is not safe to read")
@@ -261,6 +266,8 @@ def read_function(stream: IO[bytes]) -> str:
             parser.Parse(model[first : first + _PARSED_AT_ONCE], False)
             if ends:
                 break
+        if not ends and len(model) < package_3mf.MOST_READ:
+            parser.Parse(b"", True)
     except xml.parsers.expat.ExpatError as error:
         raise FormatError(f"the model is not valid XML ({error})") from None
     if not ends:
@@ -268,9 +275,12 @@ def read_function(stream: IO[bytes]) -> str:
     if "fieldbake:sha256" not in metadata:
         program = metadata.get("Application", "another program")[:60]
         raise FormatError(f"written by {program}; only fieldbake's own functions become shapes")
-    function = model[start[0] : model.index(b">", ends[0]) + 1]
-    if hashlib.sha256(function).hexdigest() != metadata.get("fieldbake:sha256"):
-        raise FormatError("the function was changed after fieldbake wrote it, so the shape is unknown")
+    found = metadata["fieldbake:sha256"]
+    digest = hashlib.sha256(model.replace(_metadata("sha256", found).encode(), b"", 1))
+    for part in parts:
+        digest.update(part)
+    if digest.hexdigest() != found:
+        raise FormatError("the model was changed after fieldbake wrote it, so the shape is unknown")
     if "fieldbake:sexpr" not in metadata:
         raise FormatError("the shape contains a baked volume, which the file has as pictures of 16 bits only")
     return metadata["fieldbake:sexpr"]
