@@ -337,8 +337,8 @@ class Shape:
     ) -> Shape:
         """A baked field. ``error`` bounds its difference from the distance, world units; None if that is unknown.
 
-        ``divided``: cells between the centres of voxels, numbered with x fastest, and their samples at quarters of the
-        cell, 5 * 5 * 5 numbers each with x fastest."""
+        ``divided``: indices (n,) of cells between the centres of voxels, x fastest, and their samples (125 n,), world
+        units, at quarters of the sides of each cell, x fastest."""
     @staticmethod
     def combine(op: str, shapes: list[Shape], k: float, chamfer: float) -> Shape: ...
     @staticmethod

@@ -261,6 +261,10 @@ wgsl_constants! {
     light {
         MAX_LIGHTS: usize as u32 = super::MAX_LIGHTS;
     }
+    csg_leaves {
+        /// Parts of a divided cell of a baked volume along each axis.
+        CELL_PARTS: usize as u32 = 4;
+    }
     csg_tables {
         /// Lowest bit of the opcode of a token.
         TOKEN_SHIFT: u32 as u32 = 28;

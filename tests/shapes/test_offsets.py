@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import fieldbake as fb
+from fieldbake.shapes import exact_distance
 
 ROD = fb.cylinder(1.4, 10).translate((0.25, 0, 0)).twist(per_unit_deg=180)
 
@@ -91,6 +92,40 @@ def test_a_baked_offset_is_exact_at_concave_edges(device):
     exact = np.linalg.norm(anywhere[:, None] - centers, axis=2).min(axis=1) - 1
     error = np.abs(baked.distance(anywhere, device=device) - exact)
     assert error[exact >= -0.2].max() <= baked.field_error
+
+
+def test_a_baked_offset_is_continuous_at_divided_cells():
+    """Divided cells, whole ones and their common faces have one field."""
+    shape = (fb.sphere(0.6) ^ fb.box(1)).offset(0.1, resolution=24)
+    lower, upper = shape.bounds
+    random, voxel = np.random.default_rng(3), np.ptp(fb.box(1.2).bounds, axis=0).max() / 24
+    axis = random.integers(0, 3, 200_000)
+    points = random.uniform(lower, upper, (len(axis), 3))
+    # The grid is centred on the shape and has an even number of voxels, so faces of cells lie at odd halves of a voxel.
+    rows = np.arange(len(axis))
+    points[rows, axis] = (np.floor(points[rows, axis] / voxel) + 0.5) * voxel
+    step = np.zeros_like(points)
+    step[rows, axis] = 1e-6 * voxel
+    below, above = (shape.distance(points + sign * step).astype(float) for sign in (-1, 1))
+    assert np.abs(above - below).max() <= 2e-6 * voxel * shape.lipschitz + 4e-7
+
+
+def test_only_cells_at_the_level_sets_are_divided(monkeypatch):
+    """In a lattice the nearest wall changes everywhere, but only cells at a level set have finer samples."""
+    divide, found = exact_distance._Distance.divide, []
+
+    def spy(self, distances, levels):
+        numbers, samples = divide(self, distances, levels)
+        x, y, z = np.unravel_index(numbers.astype(int), np.array(distances.shape) - 1, order="F")
+        found.append((np.abs(np.abs(distances[x, y, z]) - levels[1]), samples, max(self._grid.spacing)))
+        return numbers, samples
+
+    monkeypatch.setattr(exact_distance._Distance, "divide", spy)
+    (fb.gyroid(0.5, 0.1) & fb.box(1)).shell(0.02, resolution=64)
+    away, samples, voxel = found[0]
+    assert samples.size == 125 * len(away) > 0
+    # The level is within a diagonal and a quarter of a voxel of the first corner of each cell.
+    assert away.max() <= (np.sqrt(3) + 0.25) * voxel
 
 
 def test_a_resolution_bakes_any_shape():

@@ -333,8 +333,8 @@ def render(scene: Any, camera: Camera | None = None, **options: Unpack[RenderOpt
     Paths ignore highlights and scattering. Surroundings given as an image are smoothed as described for :class:`Scene`.
     In a closed room, 256 paths differ from a path tracer by 2 % in the mean.
 
-    Hard and ``"area"`` shadows and `bounces` trace the triangles of meshes, on the CPU for pictures of every device.
-    Soft shadows and occlusion evaluate distance fields, except for open sheets, for flat and thin meshes and for meshes
+    Hard and ``"area"`` shadows, occlusion and `bounces` trace the triangles of meshes, on the CPU for pictures of every
+    device. Soft shadows evaluate distance fields, except for open sheets, for flat and thin meshes and for meshes
     with a mask or a translucent texture: they trace their triangles, with the opacity of the material at each hit. Each
     crossing of a blended surface absorbs a fraction of the light equal to its opacity. Rays past the triangles of a
     mesh with smooth normals start on the smooth surface above its faces (J. Hanika, Hacking the shadow terminator, Ray

@@ -88,7 +88,7 @@ def _batches(rows: NDArray[Any]) -> Iterator[NDArray[Any]]:
 
 
 def has_function(path: Path) -> bool:
-    """Whether a file is a package whose model has an implicit function. A damaged package has none."""
+    """Whether a file is a package whose model has an implicit function. A package that is not safe to read has none."""
     with path.open("rb") as stream:
         try:
             return b"implicitfunction" in read_model(stream)

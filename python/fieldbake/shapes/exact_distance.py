@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterator, Sequence
 from functools import reduce
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,7 @@ CORNERS = LATTICE[(LATTICE % PARTS == 0).all(axis=1)] // PARTS
 WEIGHTS = np.where(CORNERS, LATTICE[:, None] / PARTS, 1 - LATTICE[:, None] / PARTS).prod(axis=2)
 
 #: A cell is divided if linear interpolation is off by more than this at a middle of its edges, faces or body, voxels.
-DIVISION_ERROR = 0.02
+DIVISION_ERROR = 0.04
 
 #: Largest movement of a point of the contour to the surface, voxels. It is longer only at features that the contour
 #: does not resolve.
@@ -49,7 +50,7 @@ FACES = 100_000
 def distance_leaf(
     core: _core.Shape,
     name: str,
-    levels: Iterable[float],
+    levels: Sequence[float],
     reach: float,
     resolution: int,
     bounds: NDArray[np.float64] | None = None,
@@ -67,7 +68,7 @@ def distance_leaf(
         The shape.
     name : str
         The method of the caller, for messages.
-    levels : iterable of float
+    levels : sequence of float
         Distances of the level sets that must be accurate, world units.
     reach : float
         Largest distance outside the surface at which the field is used, world units.
@@ -123,7 +124,7 @@ class _Distance:
         self._voxel = max(grid.spacing)
 
     def divide(
-        self, distances: NDArray[np.float32], levels: Iterable[float]
+        self, distances: NDArray[np.float32], levels: Sequence[float]
     ) -> tuple[NDArray[np.uint64], NDArray[np.float32]]:
         """Correct the samples at level sets, and return the numbers (n,) of the cells to divide and their samples.
 
@@ -134,51 +135,73 @@ class _Distance:
         # The corners, and the middles of the edges, of the faces and of the body.
         halves = (LATTICE % (PARTS // 2) == 0).all(axis=1)
         is_corner = (LATTICE[halves] % PARTS == 0).all(axis=1)
+        original = distances.copy(order="F")
         for cells in _batches(np.argwhere(is_near)):
-            exact = self._at(cells, LATTICE[halves])
+            exact = self._at(cells, LATTICE[halves], _at_corners(original, cells) @ WEIGHTS[halves].T)
             x, y, z = np.moveaxis(cells[:, None] + CORNERS, 2, 0)
             distances[x, y, z] = exact[:, is_corner]
             error = np.abs(exact - exact[:, is_corner] @ WEIGHTS[halves].T).max(axis=1)
-            is_divided[tuple(cells[error > DIVISION_ERROR * self._voxel].T)] = True
-        samples = [np.zeros((0, len(LATTICE)), np.float32)]
+            # A level set of the exact distance passes the cell, or is near it.
+            is_crossed = _contains(exact.min(axis=1), exact.max(axis=1), levels, self._voxel / 4)
+            is_divided[tuple(cells[is_crossed & (error > DIVISION_ERROR * self._voxel)].T)] = True
+        del original
+        count = int(is_divided.sum())
+        what = f"the finer samples of {count} cells"
+        _core.require_memory(what, 3 * 4 * len(LATTICE) * count, "use a lower resolution")
+        samples, filled = np.empty((count, len(LATTICE)), np.float32), 0
         for cells in _batches(np.argwhere(is_divided.T)[:, ::-1]):
             # The field is continuous: it is linear on the faces and edges that a whole cell shares.
             linear = _at_corners(distances, cells) @ WEIGHTS.T
-            exact = np.where(_is_shared_by_whole_cells(is_divided, cells), linear, self._at(cells, LATTICE))
-            samples.append(exact.astype(np.float32))
-        return np.flatnonzero(is_divided.T).astype(np.uint64), np.concatenate(samples).ravel()
+            exact = self._at(cells, LATTICE, linear)
+            exact = np.where(_is_shared_by_whole_cells(is_divided, cells), linear, exact)
+            samples[filled : filled + len(cells)] = exact
+            filled += len(cells)
+        return np.flatnonzero(is_divided.T).astype(np.uint64), samples.ravel()
 
-    def _at(self, cells: NDArray[np.int64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Signed distances (n, k) at k positions in each of n cells; offsets from the first corner are in parts."""
+    def _at(
+        self, cells: NDArray[np.int64], offsets: NDArray[np.int64], linear: NDArray[np.floating[Any]]
+    ) -> NDArray[np.float64]:
+        """Signed distances (n, k) at k positions in each of n cells; offsets from the first corner are in parts.
+
+        Values `linear` (n, k) that are interpolated have the signs, except within half a voxel of the surface.
+        """
         places = PARTS * cells[:, None] + offsets
         x, y, z = (PARTS * n for n in self._grid.shape)
         keys, rows = np.unique(np.ravel_multi_index(np.moveaxis(places, 2, 0), (x, y, z)), return_inverse=True)
         unique = np.stack(np.unravel_index(keys, (x, y, z)), axis=1)
         points = np.array(self._grid.lower) + np.array(self._grid.spacing) * (unique / PARTS + 0.5)
-        found, _, feet, *_ = _core.query(self._contour, points, device="cpu")
+        feet, lengths, *_ = _core.closest_point(self._contour, points, device="cpu")
         # A step of Newton's method moves the nearest point of the contour to the surface.
         slopes = self._core.gradient(feet).astype(np.float64)
         values = self._core.distance(feet, "cpu").astype(np.float64)
         moved = feet - (values / np.maximum((slopes**2).sum(axis=1), 1e-12))[:, None] * slopes
         is_nearer = np.linalg.norm(moved - feet, axis=1) <= CORRECTION * self._voxel
         is_nearer &= np.abs(self._core.distance(moved, "cpu")) <= np.abs(values) / 4
-        corrected = np.where(is_nearer, np.copysign(np.linalg.norm(points - moved, axis=1), found), found)
-        at_places: NDArray[np.float64] = corrected[rows]
-        return at_places.reshape(places.shape[:2])
+        lengths = np.where(is_nearer, np.linalg.norm(points - moved, axis=1), lengths)
+        close, sides = lengths <= self._voxel / 2, np.zeros(len(lengths))
+        sides[close] = self._core.distance(points[close], "cpu")
+        rows = rows.reshape(linear.shape)
+        return np.copysign(lengths[rows], np.where(close[rows], sides[rows], linear))
 
 
-def _is_near(distances: NDArray[np.float32], levels: Iterable[float], margin: float) -> NDArray[np.bool_]:
+def _is_near(distances: NDArray[np.float32], levels: Sequence[float], margin: float) -> NDArray[np.bool_]:
     """Whether the field of each cell may have one of the values."""
     counts = np.array(distances.shape) - 1
     corners = [distances[tuple(slice(i, i + n) for i, n in zip(at, counts, strict=True))] for at in CORNERS.tolist()]
-    low, high = reduce(np.minimum, corners) - margin, reduce(np.maximum, corners) + margin
-    is_near = np.zeros(low.shape, bool)
+    return _contains(reduce(np.minimum, corners), reduce(np.maximum, corners), levels, margin)
+
+
+def _contains(
+    low: NDArray[np.floating[Any]], high: NDArray[np.floating[Any]], levels: Sequence[float], margin: float
+) -> NDArray[np.bool_]:
+    """Whether intervals, which are extended by a margin, contain one of the values."""
+    found = np.zeros(low.shape, bool)
     for level in levels:
-        is_near |= (low <= level) & (level <= high)
-    return is_near
+        found |= (low - margin <= level) & (level <= high + margin)
+    return found
 
 
-def _batches(cells: NDArray[np.int64]) -> Iterable[NDArray[np.int64]]:
+def _batches(cells: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
     return (cells[first : first + BATCH] for first in range(0, len(cells), BATCH))
 
 

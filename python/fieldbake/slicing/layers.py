@@ -21,7 +21,7 @@ from ..files.svg import svg_path, svg_text
 from ..meshes.convert import MeshLike, as_mesh
 from ..meshes.loops import Array, area, cut
 from ..meshes.mesh import Mesh
-from ..meshes.outlines import NOISE, PlaneField, cut_by_box
+from ..meshes.outlines import BATCH, NOISE, PlaneField, cut_by_box
 from ..meshes.section import PICTURE, MeshCut
 from ..queries.common import warn_of_signs
 from ..shapes.shape import Shape
@@ -297,7 +297,7 @@ class Slices:
         """The field of a layer; `noise` is a fraction of the longest side of the box."""
         # Samples, masks and the image take about 12 bytes a pixel.
         what = f"a layer of {self._size[0]} x {self._size[1]} pixels"
-        _core.require_memory(what, 12 * self._size[0] * self._size[1], "use larger pixels")
+        _core.require_memory(what, 28 * self._size[0] * self._size[1], "use larger pixels")
         noise *= float((self._bounds[1] - self._bounds[0]).max())
         return PlaneField(self._solid.values, self._frame(index), self._solid.slope, noise, self._solid.sides)
 
@@ -313,11 +313,12 @@ class Slices:
         distances = field.samples(*places, reach=0.5 * side)
         inside = distances < 0
         row, column = np.nonzero(np.abs(distances) <= field.noise)
-        if field.noise > 0 and len(row):
-            x, y = places[0][column], places[1][row]
-            is_inside = (self._solid.exact or field.values)(field.world(x, y)) < 0
-            reach = BESIDE * self._pixel[0], BESIDE * self._pixel[1]
-            inside[row, column] = is_inside & ~field.flat(x, y, reach, field.rounding(*places))
+        reach, exact = (BESIDE * self._pixel[0], BESIDE * self._pixel[1]), self._solid.exact or field.values
+        for first in range(0, len(row) if field.noise > 0 else 0, BATCH):
+            rows, columns = row[first : first + BATCH], column[first : first + BATCH]
+            x, y = places[0][columns], places[1][rows]
+            is_flat = field.flat(x, y, reach, field.rounding(*places))
+            inside[rows, columns] = (exact(field.world(x, y)) < 0) & ~is_flat
         shares = distances * np.float32(-255 / side)
         shares += 127.5
         image = np.rint(np.clip(shares, 0, 255, out=shares), out=shares).astype(np.uint8)

@@ -32,9 +32,6 @@ fn edge_values(first: u32) -> vec4f {
     return vec4f(corner_at(first), corner_at(first + 2u));
 }
 
-// Parts of a divided cell along each axis; as PARTS in src/csg/tree/volume_leaf.rs.
-const CELL_PARTS: u32 = 4u;
-
 // A baked field, closed by the faces of its box; see src/csg/tree/volume_leaf.rs.
 fn volume(at: vec3f, first: u32) -> f32 {
     let lower = vec3f(numbers[first], numbers[first + 1u], numbers[first + 2u]);

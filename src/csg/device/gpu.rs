@@ -168,7 +168,7 @@ fn encoded(leaf: &PlacedLeaf<f32>, numbers: &mut Vec<f32>) -> CsgLeaf {
             numbers.extend(placed.lower.iter().chain(&placed.upper).chain(&placed.inverse_spacing));
             numbers.extend(placed.shape.map(|n| n as f32));
             let divided = volume.divided();
-            // An index of a block is exact in f32, because a table of its samples has fewer than 2^31 numbers.
+            // A buffer has at most 2^30 numbers, so fewer than 2^24 blocks. Their numbers are exact in f32.
             numbers.extend([placed.scale, if divided.blocks().is_empty() { 0.0 } else { 1.0 }]);
             numbers.extend(volume.distances());
             numbers.extend(divided.blocks().iter().map(|block| *block as f32));

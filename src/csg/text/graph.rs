@@ -278,9 +278,10 @@ impl Scalar for Symbol {
         let cell = [0, 1, 2].map(|axis| at[axis].floor().least(last[axis]));
         // A texel t has the value (2 t / 65535 - 1) reach.
         let scale = Self::of((DIGITS - 1) as f64 / 2.0);
+        let reach = Self::of(f64::from(reach(volume)));
         let digit = |first: usize| {
             let value = texel([cell[0], cell[1], cell[2] + number(first)]);
-            ((value / Self::of(f64::from(reach(volume))) + Self::of(1.0)) * scale + Self::of(0.5)).floor()
+            ((value / reach + Self::of(1.0)) * scale + Self::of(0.5)).floor()
         };
         let block = digit(layout.low_digits) + digit(layout.high_digits) * number(DIGITS) - Self::of(1.0);
         // The whole part of a quotient, and the remainder.

@@ -6,16 +6,19 @@
 //! the trilinear field: outside, the gradient is a mean of the unit vector away from the box and the gradient along it,
 //! which are perpendicular.
 //!
-//! Linear interpolation rounds a distance where the nearest point changes from one part of a surface to another. The
-//! cells of such places may be divided into [`PARTS`] along each axis ([`DividedCells`]).
+//! Linear interpolation smooths the crease of a distance where the nearest point changes from one part of a surface to
+//! another. The cells of such places may be divided into [`PARTS`] along each axis ([`DividedCells`]).
 
 use crate::error::{ArgumentError, Error};
+use crate::gpu::constants::csg_leaves::CELL_PARTS;
 use crate::grid::Grid;
+use crate::memory::zeroed_rows;
 use crate::volume::FieldView;
 use glam::DVec3;
 
-/// Number of parts of a divided cell along each axis, and of its samples.
-pub(crate) const PARTS: usize = 4;
+/// Number of parts of a divided cell along each axis.
+pub(crate) const PARTS: usize = CELL_PARTS;
+/// Number of samples of a divided cell.
 pub(crate) const PART_SAMPLES: usize = (PARTS + 1).pow(3);
 
 /// Finer samples in some of the cells between the centres of voxels.
@@ -30,20 +33,23 @@ pub struct DividedCells {
 impl DividedCells {
     /// Blocks of samples for cells, which are numbered with x fastest.
     pub fn new(grid: &Grid, cells: &[usize], samples: Vec<f32>) -> Result<Self, Error> {
+        if samples.len() != cells.len() * PART_SAMPLES {
+            let problem = format!("has {} numbers, expected {PART_SAMPLES} for each cell", samples.len());
+            return Err(ArgumentError::new("samples", problem).into());
+        }
         if cells.is_empty() {
             return Ok(Self::default());
         }
         let count = grid.shape.map(|n| n.saturating_sub(1)).iter().product();
-        let mut blocks = vec![0; count];
+        let mut blocks = zeroed_rows::<u32>("cells", count)?;
         for (block, &cell) in cells.iter().enumerate() {
             let Some(place) = blocks.get_mut(cell) else {
                 return Err(ArgumentError::new("cells", format!("has {cell}, but the grid has {count} cells")).into());
             };
+            if *place != 0 {
+                return Err(ArgumentError::new("cells", format!("has {cell} twice")).into());
+            }
             *place = block as u32 + 1;
-        }
-        if samples.len() != cells.len() * PART_SAMPLES {
-            let problem = format!("has {} numbers, expected {PART_SAMPLES} for each cell", samples.len());
-            return Err(ArgumentError::new("samples", problem).into());
         }
         Ok(Self { blocks, samples })
     }
@@ -174,5 +180,43 @@ impl VolumeLeaf {
         }
         let [low, high] = self.surface;
         (low - self.grid.lower).max(self.grid.upper - high).max_element()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The distance from a plane on a grid of three voxels of side 1, `x - 2.2` at the position x.
+    fn leaf(cells: &[usize], samples: Vec<f32>) -> Result<VolumeLeaf, Error> {
+        let grid = Grid::new(DVec3::ZERO, DVec3::splat(3.0), [3; 3]).unwrap();
+        let distances = (0..27).map(|i| (i % 3) as f32 + 0.5 - 2.2 + 3.0).collect();
+        VolumeLeaf::new(grid, distances, DividedCells::new(&grid, cells, samples)?, None)
+    }
+
+    #[test]
+    fn divided_cells_must_fit_the_grid() {
+        let message = |cells: &[usize], samples| leaf(cells, samples).unwrap_err().to_string();
+        assert!(leaf(&[0, 7], vec![1.0; 250]).is_ok());
+        assert!(message(&[8], vec![1.0; 125]).contains("has 8, but the grid has 8 cells"));
+        assert!(message(&[usize::MAX], vec![1.0; 125]).contains("but the grid has 8 cells"));
+        assert!(message(&[1, 1], vec![1.0; 250]).contains("has 1 twice"));
+        assert!(message(&[1], vec![1.0; 124]).contains("has 124 numbers, expected 125 for each cell"));
+        assert!(message(&[], vec![1.0; 125]).contains("has 125 numbers"));
+        assert!(message(&[1], vec![f32::NAN; 125]).contains("sample 0 is NaN"));
+    }
+
+    #[test]
+    fn bounds_include_the_samples_of_divided_cells() {
+        // All corners are outside, and one sample of the cell of the largest indices is inside.
+        let mut samples = vec![1.0; PART_SAMPLES];
+        samples[62] = -0.5;
+        let whole = leaf(&[], Vec::new()).unwrap();
+        let divided = leaf(&[7], samples).unwrap();
+        assert_eq!(whole.support(DVec3::X), 1.5);
+        assert_eq!([DVec3::X, DVec3::NEG_X].map(|n| divided.support(n)), [3.0, -0.5]);
+        // The steps in the cell are a quarter of a voxel.
+        assert_eq!(whole.lipschitz(), 1.0);
+        assert!((divided.lipschitz() - 3f64.sqrt() * 4.0 * 1.5).abs() <= 1e-12);
     }
 }

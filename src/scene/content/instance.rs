@@ -174,6 +174,11 @@ impl Instance {
         self.field.as_deref().filter(|_| !self.is_sheet && self.casts_shadow && self.shade > 0.0)
     }
 
+    /// Whether rays of light intersect its field, because it has no triangles.
+    pub fn casts_by_field(&self) -> bool {
+        self.casting_triangles().is_none() && self.casting_field().is_some()
+    }
+
     /// Whether distances describe all its effects on light: it is neither translucent nor tested by thin rays.
     pub fn is_opaque_solid(&self) -> bool {
         !self.is_sheet && self.shade >= 1.0 && !self.field.as_ref().is_some_and(|field| field.prefers_rays())

@@ -65,9 +65,7 @@ impl Scene {
         let tree = Tree::new(&boxes);
         let sheets = Sheets::new(&instances, &boxes);
         let has_faces = instances.iter().any(|instance| instance.casting_triangles().is_some());
-        let is_field =
-            |instance: &Instance| instance.casting_triangles().is_none() && instance.casting_field().is_some();
-        let has_fields = instances.iter().any(is_field);
+        let has_fields = instances.iter().any(Instance::casts_by_field);
         Ok(Self { center, scale, instances, materials, textures, tree, boxes, sheets, has_faces, has_fields, inputs })
     }
 

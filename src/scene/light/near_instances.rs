@@ -48,16 +48,6 @@ impl NearInstances {
     }
 }
 
-/// Distance of the centre of a ball from the axis of a cone, and sine and cosine of `A - B`, each times `c^2`, from the
-/// position of the centre along the axis, its squared distance `c^2`, the radius, and the length of the tangent.
-#[inline(always)]
-fn side_of_ball(along: f32, squared: f32, radius: f32, tangent: f32) -> [f32; 3] {
-    let aside_squared = squared - along * along;
-    // Unlike `max`, the comparison is vectorised.
-    let aside = (if aside_squared > 0.0 { aside_squared } else { 0.0 }).sqrt();
-    [aside, aside * tangent - along * radius, along * tangent + aside * radius]
-}
-
 /// The ball around the surface of an instance, from a place.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct BallFrom {
@@ -75,8 +65,11 @@ impl BallFrom {
         if length <= radius {
             return true;
         }
+        // The angle between the axis and the rim of the ball is the angle to its centre less its angular radius.
         let squared = length * length;
-        let [_, sine, nearest] = side_of_ball(to_center.dot(axis), squared, radius, (squared - radius * radius).sqrt());
+        let along = to_center.dot(axis);
+        let (aside, tangent) = ((squared - along * along).max(0.0).sqrt(), (squared - radius * radius).sqrt());
+        let (sine, nearest) = (aside * tangent - along * radius, along * tangent + aside * radius);
         sine <= 0.0 || nearest >= (cosine - ROUNDING) * squared
     }
 }

@@ -11,7 +11,7 @@
 //!
 //! # Practice
 //!
-//! The instances near a place are gathered once for all of its rays. Those that may meet the rays of a part are tested
+//! The instances near a place are gathered once for all of its rays. Those that the rays of a part may hit are tested
 //! by all of these together ([`super::mesh_rays`]). For pictures of a device the CPU traces the triangles, and the
 //! device traces the fields.
 
@@ -29,7 +29,7 @@ pub(crate) const PATTERNS: usize = 64;
 
 /// Number of parts of the hemisphere.
 const PARTS: usize = 7;
-/// Number of rays in the part around the normal, and in each of the sectors around it, powers of two.
+/// Numbers of rays in the part around the normal, and in each sector around it. Both are powers of two.
 const MIDDLE_RAYS: usize = 32;
 const SECTOR_RAYS: usize = 16;
 /// Number of rays over a hemisphere.
@@ -139,7 +139,7 @@ pub(crate) struct NearOccluders {
 }
 
 impl NearOccluders {
-    /// Gathers the instances that rays over a hemisphere may meet.
+    /// Gathers the instances that rays over a hemisphere may hit.
     fn gather(&mut self, scene: &Scene, hemisphere: &Hemisphere<'_>, blocking: Blocking) {
         let (p, reach) = (hemisphere.place.p.as_vec3(), hemisphere.distance as f32 * (1.0 + ROUNDING));
         if self.around.is_some_and(|(center, radius)| radius == reach && center.distance(p) <= SHARED * reach) {
@@ -174,9 +174,14 @@ impl TracedScene<'_> {
     }
 
     /// Fraction of each ray over a hemisphere that passes the triangles of meshes.
-    pub(crate) fn open_past_faces(&self, hemisphere: &Hemisphere<'_>, work: &mut LightWork) -> [f32; RAYS] {
+    pub(crate) fn open_past_faces(
+        &self,
+        hemisphere: &Hemisphere<'_>,
+        near: &mut NearOccluders,
+        work: &mut LightWork,
+    ) -> [f32; RAYS] {
         let (mut past, mut first) = ([1.0; RAYS], 0);
-        self.pass_hemisphere(hemisphere, Blocking::Faces, &mut NearOccluders::default(), |rays| {
+        self.pass_hemisphere(hemisphere, Blocking::Faces, near, |rays| {
             for (past, ray) in past[first..].iter_mut().zip(rays.iter()) {
                 *past = ray.share;
                 work.steps += ray.work.steps;
@@ -204,6 +209,64 @@ impl TracedScene<'_> {
             let mut rays: Vec<PlacedRay<'_>> = rays.map(|ray| PlacedRay::new(self, place, ray)).collect();
             self.pass_rays(&near, &mut rays);
             visit(&mut rays);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::light_rays::SurfacePoint;
+    use super::*;
+    use glam::DVec3;
+    use proptest::prelude::*;
+
+    fn vector() -> impl Strategy<Value = Vec3> {
+        (-1.0..1.0f32, -1.0..1.0f32, -1.0..1.0f32).prop_map(|(x, y, z)| Vec3::new(x, y, z))
+    }
+
+    fn place(p: Vec3, normal: Vec3) -> SurfacePoint {
+        let (p, lift) = (p.as_dvec3(), Vec3::ZERO);
+        SurfacePoint { p, normal, own: 0, bias_voxels: 0.0, lift, skips_own: false }
+    }
+
+    #[test]
+    fn the_density_of_rays_is_the_cosine() {
+        let place = place(Vec3::ZERO, Vec3::Z);
+        for pattern in 0..PATTERNS {
+            let hemisphere = Hemisphere { place: &place, distance: 1.0, pattern };
+            let mean = hemisphere.rays().map(|ray| ray.direction).sum::<DVec3>() / RAYS as f64;
+            // The mean direction is 2/3 of the normal; a stratum of the middle part has the width 1/32.
+            assert!((mean - DVec3::new(0.0, 0.0, 2.0 / 3.0)).length() <= 1.0 / 32.0, "{pattern}: {mean}");
+            assert_eq!(hemisphere.rays().count(), RAYS);
+        }
+    }
+
+    proptest! {
+        /// Every ball that a ray hits within the distance is tested by the rays of its part.
+        #[test]
+        fn no_ball_on_a_ray_is_left_out(
+            centers in prop::collection::vec((vector(), 0.01..0.8f32), 1..20), p in vector(), toward in vector(),
+            distance in 0.2..3.0f64, pattern in 0..PATTERNS
+        ) {
+            prop_assume!(toward.length() > 0.01);
+            let place = place(p, toward.normalize());
+            let hemisphere = Hemisphere { place: &place, distance, pattern };
+            let mut near = NearInstances::default();
+            centers.iter().enumerate().for_each(|(i, &(center, radius))| near.push(i as u32, center, radius));
+            let balls = near.above(p, place.normal, distance as f32);
+            for (axis, least_cosine, rays) in hemisphere.parts() {
+                let tested: Vec<u32> =
+                    balls.iter().filter(|ball| ball.may_intersect(axis, least_cosine)).map(|ball| ball.item).collect();
+                for ray in rays {
+                    prop_assert!(ray.direction.dot(axis.as_dvec3()) >= f64::from(least_cosine) - 1e-6);
+                    for (i, &(center, radius)) in centers.iter().enumerate() {
+                        let to_center = center.as_dvec3() - place.p;
+                        let along = to_center.dot(ray.direction).clamp(0.0, distance);
+                        let is_hit = (to_center - along * ray.direction).length() <= f64::from(radius);
+                        prop_assert!(!is_hit || tested.contains(&(i as u32)), "ball {i}");
+                    }
+                }
+            }
         }
     }
 }

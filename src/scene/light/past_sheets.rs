@@ -19,6 +19,7 @@
 use super::light_rays::{LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
 use super::lit_surface::{Lights, LitSurface};
 use super::mesh_rays::is_skipped;
+use super::occlusion::NearOccluders;
 use super::shadow::TracedScene;
 use crate::scene::content::instance::Instance;
 use crate::scene::content::model::Scene;
@@ -143,12 +144,13 @@ impl TracedScene<'_> {
         surface: &LitSurface<'_>,
         lights: &Lights,
         options: &RenderOptions,
+        near: &mut NearOccluders,
     ) -> (Vec<f32>, LightWork) {
         let (mut shares, mut work) = (Vec::new(), LightWork::default());
         let place = &surface.place;
         if let Some(distance) = options.occlusion {
             let hemisphere = surface.hemisphere(distance / self.scene.scale);
-            shares.extend(self.open_past_faces(&hemisphere, &mut work));
+            shares.extend(self.open_past_faces(&hemisphere, near, &mut work));
         }
         for light in &lights.lights {
             let (ray, slope, _) = light.seen_from(place.p);

@@ -71,11 +71,10 @@ pub(crate) enum Blocking {
 impl Blocking {
     /// Whether the rays of a search test an instance.
     pub(crate) fn includes(self, instance: &Instance) -> bool {
-        let has_faces = instance.casting_triangles().is_some();
         match self {
-            Self::All => has_faces || instance.casting_field().is_some(),
-            Self::Faces => has_faces,
-            Self::Fields => !has_faces,
+            Self::All => Self::Faces.includes(instance) || Self::Fields.includes(instance),
+            Self::Faces => instance.casting_triangles().is_some(),
+            Self::Fields => instance.casts_by_field(),
         }
     }
 }
@@ -151,9 +150,8 @@ impl<'a> TracedScene<'a> {
         }
     }
 
-    /// Adds the far field to the results of a cone. Returns whether the far
-    /// field was evaluated.
-    pub(crate) fn add_far(&self, split: &Split, cone: LightCone<'_>, sum: &mut ConeSum, work: &mut LightWork) -> bool {
+    /// Adds the far field to the results of a cone. Returns whether the far field was evaluated.
+    fn add_far(&self, split: &Split, cone: LightCone<'_>, sum: &mut ConeSum, work: &mut LightWork) -> bool {
         let is_far = split.far.is_some() && sum.opaque.x > -1.0;
         if is_far {
             for far in self.far_occluders(split, cone.place, cone.ray) {

@@ -10,8 +10,9 @@
 //!
 //! The second term is the reflection of a surface ([`crate::picture::LitPoint`]). `ambient` is the light from
 //! everywhere on the normal ([`crate::scene::content::options`]). `arrives` is the visible fraction of the light
-//! ([`crate::scene::light::shadow`]), 0 on a side that faces away. `open` is the mean of cones over the hemisphere
-//! ([`crate::scene::light::occlusion`]), each weighted by its cosine; occluders beyond a given distance do not count.
+//! ([`crate::scene::light::shadow`]), 0 on a side that faces away. `open` is the fraction of rays over the
+//! hemisphere that pass all occluders ([`crate::scene::light::occlusion`]). The density of the rays is the cosine, and
+//! occluders beyond a given distance do not count.
 //! Indirect light ([`crate::scene::light::bounces`]) replaces `ambient * open`. `through` is the fraction of the light
 //! that arrives through the instance itself ([`crate::scene::light::transmission`]). A side that faces away receives
 //! all of it. On the lit side its weight falls with the cosine, so the picture is continuous where the cosine is 0, and

@@ -8,7 +8,7 @@ use crate::scene::content::options::SceneShadows;
 use crate::scene::device::device_scene::{DeviceScene, beam, work_of};
 use crate::scene::light::light_rays::{LightRay, LightWork, PARTS, SurfacePoint, basis, disc_point, toward};
 use crate::scene::light::lit_surface::{LightSampleMut, LitSurface};
-use crate::scene::light::occlusion::RAYS;
+use crate::scene::light::occlusion::{NearOccluders, RAYS};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -64,7 +64,7 @@ fn light_bunch(
         row.is_evaluated[i] = true;
     }
     let beams = behind.iter().map(|behind| beam(&behind.place, &behind.ray, behind.slope)).collect();
-    let (past_faces, works) = past_faces(pass, &behind, |Behind { place, ray, slope, .. }| {
+    let (past_faces, works) = past_faces(pass, &behind, |Behind { place, ray, slope, .. }, _| {
         let mut work = LightWork::default();
         let shares = pass.traced.light_past_faces(place, ray, *slope, &mut work);
         (shares, work)
@@ -153,8 +153,9 @@ impl DeviceResults {
             first_beams(pass, surface, &mut beams, &mut inside);
         }
         let lengths = device.thicknesses(&inside, pass.progress)?;
-        let (past_faces, works) =
-            past_faces(pass, bunch, |(_, _, surface)| pass.traced.faces_at(surface, pass.lights, pass.options))?;
+        let (past_faces, works) = past_faces(pass, bunch, |(_, _, surface), near| {
+            pass.traced.faces_at(surface, pass.lights, pass.options, near)
+        })?;
         let direct = Batch::run(pass, device, beams, past_faces)?;
         Ok(Self { direct, lengths: lengths.into_iter(), works: works.into_iter() })
     }
@@ -245,16 +246,16 @@ struct Behind {
 fn past_faces<T: Sync>(
     pass: &Pass<'_>,
     items: &[T],
-    shares: impl Fn(&T) -> (Vec<f32>, LightWork) + Sync,
+    shares: impl Fn(&T, &mut NearOccluders) -> (Vec<f32>, LightWork) + Sync,
 ) -> Result<(Vec<f32>, Vec<LightWork>), Error> {
     if !pass.traced.needs_faces(pass.lights, pass.options) {
         return Ok(Default::default());
     }
     let found = items
         .par_iter()
-        .map(|item| {
+        .map_init(NearOccluders::default, |near, item| {
             pass.progress.check()?;
-            Ok(shares(item))
+            Ok(shares(item, near))
         })
         .collect::<Result<Vec<_>, Error>>()?;
     let (found, works): (Vec<_>, Vec<_>) = found.into_iter().unzip();

@@ -24,6 +24,7 @@ use crate::scene::device::device_scene::{DeviceScene, work_of};
 use crate::scene::fields::shader_variants::BeamCases;
 use crate::scene::light::light_rays::{LightWork, PARTS};
 use crate::scene::light::lit_surface::{BIAS_TRIANGLE, LitSurface, SceneLight};
+use crate::scene::light::occlusion::NearOccluders;
 use crate::scene::visibility::gbuffer::DeviceVisibility;
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -179,7 +180,7 @@ fn take_pixel(
 ) -> Option<LightWork> {
     let needs_faces = pass.traced.needs_faces(pass.lights, pass.options);
     let (past_faces, mut work) = if needs_faces {
-        pass.traced.faces_at(surface, pass.lights, pass.options)
+        pass.traced.faces_at(surface, pass.lights, pass.options, &mut NearOccluders::default())
     } else {
         (Vec::new(), LightWork::default())
     };
