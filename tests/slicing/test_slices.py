@@ -430,5 +430,5 @@ def test_images_that_do_not_fit_are_refused(monkeypatch):
 
     layers = fb.slices(fb.sphere(1), 1, pixel=2 / 40_000)
     monkeypatch.setattr("fieldbake._core.require_memory", refuse)
-    with pytest.raises(fb.CapacityError, match="a layer of 40000 x 40000 pixels: 19200000000 bytes; use larger pixels"):
+    with pytest.raises(fb.CapacityError, match="a layer of 40000 x 40000 pixels: 44800000000 bytes; use larger pixels"):
         layers.image(0)
