@@ -160,8 +160,9 @@ def test_fields_of_any_scale_have_the_same_layers(field):
         for index in range(len(truth)):
             different = (layers.image(index) >= 128) != (truth.image(index) >= 128)
             assert (np.abs(truth.image(index)[different] - 127.5) < 1).all()  # rounding at centres on the surface
-    one = fb.slices(fb.sphere(1), 0.25, pixel=0.05)
-    mixed = fb.slices(fb.sphere(1).times(1e-6) | fb.sphere(1).translate((3, 0, 0)), 0.25, pixel=0.05)
+    # No layer has so few pixels that it is traced in parts of pixels.
+    one = fb.slices(fb.sphere(1), 0.25, pixel=0.02)
+    mixed = fb.slices(fb.sphere(1).times(1e-6) | fb.sphere(1).translate((3, 0, 0)), 0.25, pixel=0.02)
     assert mixed.areas.tolist() == pytest.approx((2 * one.areas).tolist(), rel=1e-4)
 
 
@@ -432,3 +433,11 @@ def test_images_that_do_not_fit_are_refused(monkeypatch):
     monkeypatch.setattr("fieldbake._core.require_memory", refuse)
     with pytest.raises(fb.CapacityError, match="a layer of 40000 x 40000 pixels: 44800000000 bytes; use larger pixels"):
         layers.image(0)
+
+
+def test_the_areas_of_layers_of_few_pixels_are_exact():
+    """The last layers below the tip of a cone are six and two pixels across."""
+    layers = fb.slices(fb.cone(1, 2), 2 / 50, pixel=2 / 200, bounds=[(-1, -1, -1), (1, 1, 1)])
+    radii = (1 - layers.z) / 2
+    assert radii[-1] == pytest.approx(0.01)
+    assert np.abs(layers.areas / (np.pi * radii**2) - 1).max() <= 1e-3

@@ -44,6 +44,10 @@ KEPT = 4
 #: A layer in the plane of flat faces is sliced this fraction of the longest side of the mesh outside them.
 LIFT = 10 * NOISE
 
+#: Pixels across the outlines of a layer below which they are traced in parts of pixels, and the number of parts across
+#: them: the area of a circle is then accurate to 1e-3 or better.
+FEW_PIXELS, PARTS = 32, 64
+
 #: Distance from the centre of a pixel to the points that show a flat face, pixels.
 BESIDE = 0.25
 
@@ -333,8 +337,29 @@ class Slices:
             # Bodies that overlap along their faces have no crossings of faces, and loops that are not their union's.
             found = None if warnings else cut(found, *self._rectangle)
         if found is None:
-            found = self._field(index, NOISE).outlines(*self._places(0.0, 1))
+            found = self._outlines(self._field(index, NOISE))
         return tuple(checks.frozen(loop) for loop in found)
+
+    def _outlines(self, field: PlaneField) -> list[Array]:
+        """Loops of a field in the grid of the pixels. A layer of few pixels is traced again in parts of pixels."""
+        places = self._places(0.0, 1)
+        found = field.outlines(*places)
+        if not found:
+            return found
+        points = np.concatenate(found)
+        ranges = [
+            (max(np.searchsorted(nodes, low) - 2, 0), min(np.searchsorted(nodes, high) + 1, len(nodes) - 1))
+            for nodes, low, high in zip(places, points.min(axis=0), points.max(axis=0), strict=True)
+        ]
+        across = max(last - first for first, last in ranges)
+        if across >= FEW_PIXELS:
+            return found
+        parts = -(-PARTS // across)
+        x, y = (
+            np.linspace(nodes[first], nodes[last], parts * (last - first) + 1)
+            for nodes, (first, last) in zip(places, ranges, strict=True)
+        )
+        return field.outlines(x, y)
 
     @property
     def _rectangle(self) -> tuple[Array, Array]:
