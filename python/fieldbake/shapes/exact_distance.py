@@ -135,16 +135,14 @@ class _Distance:
         # The corners, and the middles of the edges, of the faces and of the body.
         halves = (LATTICE % (PARTS // 2) == 0).all(axis=1)
         is_corner = (LATTICE[halves] % PARTS == 0).all(axis=1)
-        original = distances.copy(order="F")
         for cells in _batches(np.argwhere(is_near)):
-            exact = self._at(cells, LATTICE[halves], _at_corners(original, cells) @ WEIGHTS[halves].T)
+            exact = self._at(cells, LATTICE[halves], _at_corners(distances, cells) @ WEIGHTS[halves].T)
             x, y, z = np.moveaxis(cells[:, None] + CORNERS, 2, 0)
             distances[x, y, z] = exact[:, is_corner]
             error = np.abs(exact - exact[:, is_corner] @ WEIGHTS[halves].T).max(axis=1)
             # A level set of the exact distance passes the cell, or is near it.
             is_crossed = _contains(exact.min(axis=1), exact.max(axis=1), levels, self._voxel / 4)
             is_divided[tuple(cells[is_crossed & (error > DIVISION_ERROR * self._voxel)].T)] = True
-        del original
         count = int(is_divided.sum())
         what = f"the finer samples of {count} cells"
         _core.require_memory(what, 3 * 4 * len(LATTICE) * count, "use a lower resolution")

@@ -117,8 +117,8 @@ impl VolumeLeaf {
             }
         }
         let cells = grid.shape.map(|n| n.saturating_sub(1));
-        for (cell, _) in divided.blocks.iter().enumerate().filter(|(_, block)| **block > 0) {
-            let Some(samples) = divided.samples_of(cell) else { continue };
+        let divided_cells = (0..divided.blocks.len()).filter_map(|cell| Some((cell, divided.samples_of(cell)?)));
+        for (cell, samples) in divided_cells {
             let first = [cell % cells[0], cell / cells[0] % cells[1], cell / cells[0] / cells[1]];
             if samples.iter().any(|sample| *sample <= 0.0) {
                 for axis in 0..3 {
@@ -187,10 +187,10 @@ impl VolumeLeaf {
 mod tests {
     use super::*;
 
-    /// The distance from a plane on a grid of three voxels of side 1, `x - 2.2` at the position x.
+    /// The distance from the plane x = -0.8 on a grid of three voxels of side 1.
     fn leaf(cells: &[usize], samples: Vec<f32>) -> Result<VolumeLeaf, Error> {
         let grid = Grid::new(DVec3::ZERO, DVec3::splat(3.0), [3; 3]).unwrap();
-        let distances = (0..27).map(|i| (i % 3) as f32 + 0.5 - 2.2 + 3.0).collect();
+        let distances = (0..27).map(|i| (i % 3) as f32 + 0.5 + 0.8).collect();
         VolumeLeaf::new(grid, distances, DividedCells::new(&grid, cells, samples)?, None)
     }
 

@@ -23,7 +23,7 @@ use crate::scene::content::instance::Instance;
 use crate::scene::content::model::Scene;
 use crate::scene::fields::device_fields::DeviceFields;
 use crate::scene::fields::field::Field;
-use crate::scene::fields::shader_variants::{BeamCases, GeometryKinds};
+use crate::scene::fields::shader_variants::{GeometryKinds, cases_text};
 use crate::scene::light::far_field::Far;
 use crate::scene::light::light_rays::{LightCone, LightRay, LightWork, SurfacePoint};
 use crate::scene::light::shadow::TracedScene;
@@ -203,9 +203,9 @@ impl DeviceScene {
         self.fields.kinds.texts()
     }
 
-    /// The same for kernels of beams, which handle only some cases.
-    pub(crate) fn beam_texts(&self, cases: BeamCases) -> Vec<Instead> {
-        [self.texts(), vec![cases.text()]].concat()
+    /// The same for kernels of beams.
+    pub(crate) fn beam_texts(&self, has_far: bool) -> Vec<Instead> {
+        [self.texts(), vec![cases_text(has_far)]].concat()
     }
 
     pub(crate) fn instances(&self) -> &wgpu::Buffer {
@@ -247,7 +247,7 @@ impl DeviceScene {
         progress: &Progress,
     ) -> Result<Vec<BeamResult>, Error> {
         let params = Self::beam_params(traced);
-        let cases = BeamCases { has_far: traced.far.is_some() };
+        let has_far = traced.far.is_some();
         let mut beam_results = vec![BeamResult::default(); beams.len()];
         let is_cone = |i: usize| beams[i].slope > 0.0;
         type Selection<'a> = &'a dyn Fn(usize, &BeamResult) -> bool;
@@ -259,7 +259,8 @@ impl DeviceScene {
         for (entry, is_selected) in kernels {
             let places: Vec<usize> = (0..beams.len()).filter(|&i| is_selected(i, &beam_results[i])).collect();
             let selected: Vec<Beam> = places.iter().map(|&i| beams[i]).collect();
-            for (i, beam_result) in places.into_iter().zip(self.evaluate(entry, cases, params, &selected, progress)?) {
+            for (i, beam_result) in places.into_iter().zip(self.evaluate(entry, has_far, params, &selected, progress)?)
+            {
                 beam_results[i] = beam_result;
             }
         }
@@ -286,8 +287,7 @@ impl DeviceScene {
 
     /// The length of each beam inside its own instance.
     pub(crate) fn thicknesses(&self, beams: &[Beam], progress: &Progress) -> Result<Vec<BeamResult>, Error> {
-        let cases = BeamCases { has_far: false };
-        self.evaluate("thicknesses", cases, BeamParams { far: NO_FAR, ..BeamParams::default() }, beams, progress)
+        self.evaluate("thicknesses", false, BeamParams { far: NO_FAR, ..BeamParams::default() }, beams, progress)
     }
 
     pub(crate) fn nodes(&self) -> &wgpu::Buffer {
@@ -342,7 +342,7 @@ impl DeviceScene {
     fn evaluate(
         &self,
         entry: &'static str,
-        cases: BeamCases,
+        has_far: bool,
         mut params: BeamParams,
         beams: &[Beam],
         progress: &Progress,
@@ -357,7 +357,7 @@ impl DeviceScene {
         let found = context.storage("beam results", size_of_val(&beam_results[..]) as u64)?;
         let stage = if entry == "edge_cones" { "edges" } else { entry };
         let uniform = context.uniform("beam parameters", &params)?;
-        let kernel = context.kernel_with("scene_beams", entry, &self.beam_texts(cases))?;
+        let kernel = context.kernel_with("scene_beams", entry, &self.beam_texts(has_far))?;
         let bindings = self.beam_bindings(entry, whole((0, &uniform)), &self.no_cuts, &uploaded, &found);
         let bindings: Vec<_> = bindings.into_iter().map(|(binding, buffer, ..)| (binding, buffer)).collect();
         let group = context.bind("scene_beams", &kernel, &bindings)?;

@@ -49,17 +49,10 @@ impl GeometryKinds {
     }
 }
 
-/// The cases that the kernels of beams handle in a picture, as in `shaders/shared/scene/variants/scene_cases.wgsl`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct BeamCases {
-    pub has_far: bool,
-}
-
-impl BeamCases {
-    /// The override of `shaders/shared/scene/variants/scene_cases.wgsl`.
-    pub(crate) fn text(self) -> Instead {
-        ("scene_cases", Cow::Owned(format!("const HAS_FAR: bool = {};\n", self.has_far)))
-    }
+/// The override of `shaders/shared/scene/variants/scene_cases.wgsl`, for kernels of beams: whether the scene has a far
+/// field.
+pub(crate) fn cases_text(has_far: bool) -> Instead {
+    ("scene_cases", Cow::Owned(format!("const HAS_FAR: bool = {has_far};\n")))
 }
 
 /// The override of `shaders/shared/scene/variants/scene_structures.wgsl`.
@@ -102,7 +95,7 @@ mod tests {
             let has = |bit: u8| i >> bit & 1 == 1;
             let structures = if has(2) { vec![body.clone()] } else { Vec::new() };
             let mut texts = GeometryKinds { sparse: has(0), quadrics: has(1), structures }.texts();
-            texts.push(BeamCases { has_far: has(1) }.text());
+            texts.push(cases_text(has(1)));
             for kernel in ["scene_beams", "scene_fields"] {
                 let text = source_instead(kernel, &texts).unwrap();
                 validate(kernel, &text);

@@ -32,8 +32,8 @@ impl SurfacePoint {
 
 /// The hemisphere above a surface point, in which occluders count.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Hemisphere<'a> {
-    pub place: &'a SurfacePoint,
+pub(crate) struct Hemisphere {
+    pub place: SurfacePoint,
     /// Largest distance of an occluder, scene units.
     pub distance: f64,
     /// Number of the pattern of directions in which rays are traced.

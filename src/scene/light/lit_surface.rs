@@ -18,6 +18,9 @@ use glam::{DVec3, Vec3};
 /// voxel more.
 pub(crate) const BIAS_FIELD: f32 = 0.5;
 pub(crate) const BIAS_TRIANGLE: f32 = 1.0;
+/// The same for rays over the hemisphere, which graze the surface. Beside the edges of a turned box the trilinear
+/// surface has ripples, which a voxel clears.
+const BIAS_HEMISPHERE: f32 = 1.0;
 
 /// The lights of a picture in scene space.
 #[derive(Debug)]
@@ -167,9 +170,9 @@ impl<'a> LitSurface<'a> {
     }
 
     /// The hemisphere for occlusion by occluders within a distance, scene units.
-    pub(crate) fn hemisphere(&self, distance: f64) -> Hemisphere<'_> {
+    pub(crate) fn hemisphere(&self, distance: f64) -> Hemisphere {
         let pattern = (self.turn() * (PATTERNS as f32 / std::f32::consts::TAU)) as usize;
-        Hemisphere { place: &self.place, distance, pattern }
+        Hemisphere { place: SurfacePoint { bias_voxels: BIAS_HEMISPHERE, ..self.place }, distance, pattern }
     }
 
     /// Cosine between the normal and a ray.

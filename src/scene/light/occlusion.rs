@@ -110,8 +110,8 @@ fn directions(part: usize, number: usize) -> Vec<Vec3> {
     order.into_iter().map(direction).collect()
 }
 
-impl Hemisphere<'_> {
-    /// Calls `visit` with the axis of each part, the least cosine between it and a ray, and the rays.
+impl Hemisphere {
+    /// The axis of each part, the least cosine of the angle between it and a ray, and the rays.
     fn parts(&self) -> impl Iterator<Item = (Vec3, f32, impl Iterator<Item = LightRay>)> {
         let normal = self.place.normal.as_dvec3();
         let [right, up] = basis(normal);
@@ -140,7 +140,7 @@ pub(crate) struct NearOccluders {
 
 impl NearOccluders {
     /// Gathers the instances that rays over a hemisphere may hit.
-    fn gather(&mut self, scene: &Scene, hemisphere: &Hemisphere<'_>, blocking: Blocking) {
+    fn gather(&mut self, scene: &Scene, hemisphere: &Hemisphere, blocking: Blocking) {
         let (p, reach) = (hemisphere.place.p.as_vec3(), hemisphere.distance as f32 * (1.0 + ROUNDING));
         if self.around.is_some_and(|(center, radius)| radius == reach && center.distance(p) <= SHARED * reach) {
             return;
@@ -158,12 +158,7 @@ impl NearOccluders {
 
 impl TracedScene<'_> {
     /// Fraction of the rays over a hemisphere that pass all objects.
-    pub(crate) fn open_share(
-        &self,
-        hemisphere: &Hemisphere<'_>,
-        near: &mut NearOccluders,
-        work: &mut LightWork,
-    ) -> f32 {
+    pub(crate) fn open_share(&self, hemisphere: &Hemisphere, near: &mut NearOccluders, work: &mut LightWork) -> f32 {
         let mut sum = 0.0;
         self.pass_hemisphere(hemisphere, Blocking::All, near, |rays| {
             self.pass_far(rays);
@@ -176,7 +171,7 @@ impl TracedScene<'_> {
     /// Fraction of each ray over a hemisphere that passes the triangles of meshes.
     pub(crate) fn open_past_faces(
         &self,
-        hemisphere: &Hemisphere<'_>,
+        hemisphere: &Hemisphere,
         near: &mut NearOccluders,
         work: &mut LightWork,
     ) -> [f32; RAYS] {
@@ -195,12 +190,12 @@ impl TracedScene<'_> {
     /// them.
     fn pass_hemisphere(
         &self,
-        hemisphere: &Hemisphere<'_>,
+        hemisphere: &Hemisphere,
         blocking: Blocking,
         near: &mut NearOccluders,
         mut visit: impl FnMut(&mut [PlacedRay<'_>]),
     ) {
-        let place = hemisphere.place;
+        let place = &hemisphere.place;
         near.gather(self.scene, hemisphere, blocking);
         let balls = near.found.above(place.p.as_vec3(), place.normal, hemisphere.distance as f32);
         for (axis, least_cosine, rays) in hemisphere.parts() {
@@ -233,7 +228,7 @@ mod tests {
     fn the_density_of_rays_is_the_cosine() {
         let place = place(Vec3::ZERO, Vec3::Z);
         for pattern in 0..PATTERNS {
-            let hemisphere = Hemisphere { place: &place, distance: 1.0, pattern };
+            let hemisphere = Hemisphere { place, distance: 1.0, pattern };
             let mean = hemisphere.rays().map(|ray| ray.direction).sum::<DVec3>() / RAYS as f64;
             // The mean direction is 2/3 of the normal; a stratum of the middle part has the width 1/32.
             assert!((mean - DVec3::new(0.0, 0.0, 2.0 / 3.0)).length() <= 1.0 / 32.0, "{pattern}: {mean}");
@@ -250,7 +245,7 @@ mod tests {
         ) {
             prop_assume!(toward.length() > 0.01);
             let place = place(p, toward.normalize());
-            let hemisphere = Hemisphere { place: &place, distance, pattern };
+            let hemisphere = Hemisphere { place, distance, pattern };
             let mut near = NearInstances::default();
             centers.iter().enumerate().for_each(|(i, &(center, radius))| near.push(i as u32, center, radius));
             let balls = near.above(p, place.normal, distance as f32);

@@ -173,9 +173,9 @@ impl DeviceResults {
         let scene = pass.traced.scene;
         *found.open = 1.0;
         if pass.options.occlusion.is_some() {
-            let mut sum = 0.0;
+            let (mut sum, has_beams) = (0.0, has_open_beams(pass));
             for _ in 0..RAYS {
-                sum += if has_open_beams(pass) {
+                sum += if has_beams {
                     self.direct.next(&mut work)?
                 } else {
                     work.count(false);
@@ -272,7 +272,7 @@ fn has_open_beams(pass: &Pass<'_>) -> bool {
 fn first_beams(pass: &Pass<'_>, surface: &LitSurface<'_>, beams: &mut Vec<Beam>, inside: &mut Vec<Beam>) {
     if let Some(distance) = pass.options.occlusion.filter(|_| has_open_beams(pass)) {
         let hemisphere = surface.hemisphere(distance / pass.traced.scene.scale);
-        beams.extend(hemisphere.rays().map(|ray| beam(&surface.place, &ray, 0.0)));
+        beams.extend(hemisphere.rays().map(|ray| beam(&hemisphere.place, &ray, 0.0)));
     }
     for light in &pass.lights.lights {
         let (ray, slope, _) = light.seen_from(surface.place.p);

@@ -21,7 +21,6 @@ use crate::progress::Progress;
 use crate::scene::content::options::SceneShadows;
 use crate::scene::device::device_buffers::{Buffers, STAGE_BYTES};
 use crate::scene::device::device_scene::{DeviceScene, work_of};
-use crate::scene::fields::shader_variants::BeamCases;
 use crate::scene::light::light_rays::{LightWork, PARTS};
 use crate::scene::light::lit_surface::{BIAS_TRIANGLE, LitSurface, SceneLight};
 use crate::scene::light::occlusion::NearOccluders;
@@ -85,8 +84,8 @@ pub(crate) fn light_faces(pass: &Pass<'_>, device: &DeviceScene, evaluated: &mut
     let buffers = device.light.on(context, &device.groups, chunk * tile_results)?;
     context.write("view of surfaces", &buffers.view, 0, &[view])?;
     buffers.set_beam_params(context, DeviceScene::beam_params(pass.traced))?;
-    let cases = BeamCases { has_far: pass.traced.far.is_some() };
-    let work = FaceLight::new(device, visible, corners, &buffers, [has_cones, has_rays], cases)?;
+    let has_far = pass.traced.far.is_some();
+    let work = FaceLight::new(device, visible, corners, &buffers, [has_cones, has_rays], has_far)?;
     let cost = (faces * lights) as f64 / tiles.places() as f64;
     for start in (0..tiles.places()).step_by(chunk as usize) {
         let count = chunk.min(tiles.places() - start);
@@ -278,13 +277,13 @@ impl<'a> FaceLight<'a> {
         faces: &wgpu::Buffer,
         buffers: &'a Buffers,
         kinds: [bool; 2],
-        cases: BeamCases,
+        has_far: bool,
     ) -> Result<Self, Error> {
         let [has_cones, has_rays] = kinds;
         let Buffers {
             view, counts, groups, params, beams, cuts, beam_results, discs, parts, part_results, edges, ..
         } = buffers;
-        let texts = device.beam_texts(cases);
+        let texts = device.beam_texts(has_far);
         let kernel = |name, file, entry, texts: &[Instead], bindings: &[BoundRange<'_>], size| {
             let (pipeline, group) = device.kernel(name, file, entry, texts, bindings)?;
             Ok::<_, Error>(Kernel { pipeline, group, size, stage: stage_of(name) })
