@@ -299,7 +299,7 @@ class Slices:
 
     def _field(self, index: int, noise: float) -> PlaneField:
         """The field of a layer; `noise` is a fraction of the longest side of the box."""
-        # Samples, masks and the image take about 12 bytes a pixel.
+        # Samples, masks and the image take about 12 bytes a pixel, and the pixels of a flat face are listed by 16 more.
         what = f"a layer of {self._size[0]} x {self._size[1]} pixels"
         _core.require_memory(what, 28 * self._size[0] * self._size[1], "use larger pixels")
         noise *= float((self._bounds[1] - self._bounds[0]).max())
