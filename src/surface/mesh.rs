@@ -264,6 +264,9 @@ impl LevelSurface {
         let Vertices { places: vertices, is_clamped } = vertices;
         let clamped = patches_of(self.cells.cells()).filter(|&(_, id)| is_clamped[id as usize]);
         let mut corrected: Vec<Loose<'_>> = clamped
+            .collect::<Vec<_>>()
+            .into_par_iter()
+            .with_min_len(CHUNK)
             .map(|(cell, id)| {
                 let [lower, upper] = self.region_beyond(cell);
                 let best = self.planes(cell, id, crossings, extra.of(id)).minimum(lower, upper).point;
@@ -302,13 +305,21 @@ impl LevelSurface {
             ![0.75, 0.5, 0.25].into_iter().any(|share| self.moves_to(id, start.lerp(end, share), vertices))
         });
         let staying: Vec<Loose<'_>> = far.into_iter().chain(waiting).map(|(vertex, _)| vertex).collect();
-        self.move_near(&staying, vertices, crossings, extra);
+        let parts = staying.par_chunks(CHUNK).map(|clamped| self.places_near(clamped, vertices, crossings, extra));
+        let places: Vec<DVec3> = parts.collect::<Vec<_>>().concat();
+        staying.iter().zip(places).for_each(|(vertex, place)| vertices[vertex.id as usize] = place);
     }
 
-    /// Moves clamped vertices to the best places of the planes at their crossings, since planes beyond the cell would
-    /// bend the surface. A place that is not close to the source gives way to the place of the vertex, or to the mean
-    /// of the crossings.
-    fn move_near(&self, clamped: &[Loose<'_>], vertices: &mut [DVec3], crossings: &[Crossing], extra: &ExtraPlanes) {
+    /// The best places of the planes at the crossings of clamped vertices, since planes beyond the cell would bend the
+    /// surface. A place that is not close to the source gives way to the place of the vertex, or to the mean of the
+    /// crossings.
+    fn places_near(
+        &self,
+        clamped: &[Loose<'_>],
+        vertices: &[DVec3],
+        crossings: &[Crossing],
+        extra: &ExtraPlanes,
+    ) -> Vec<DVec3> {
         let choices = clamped.iter().flat_map(|&Loose { cell, id, .. }| {
             let own = self.planes(cell, id, crossings, &[]);
             let corner = self.world(cell.index, DVec3::ZERO);
@@ -328,10 +339,12 @@ impl LevelSurface {
                 distances[i] = distances[i].min(if away > FARTHEST { away } else { 0.0 });
             });
         }
-        for (vertex, first) in clamped.iter().zip((0..).step_by(3)) {
-            let nearest = (first..first + 3).min_by(|&a, &b| distances[a].total_cmp(&distances[b])).unwrap_or(first);
-            vertices[vertex.id as usize] = places[nearest].point;
-        }
+        let choices = places.as_chunks::<3>().0.iter().zip(distances.as_chunks::<3>().0);
+        let nearest = |(places, distances): (&[Place; 3], &[f64; 3])| {
+            let nearest = (0..3).min_by(|&a, &b| distances[a].total_cmp(&distances[b])).unwrap_or(0);
+            places[nearest].point
+        };
+        choices.map(nearest).collect()
     }
 
     /// Whether two places differ by [`FARTHEST`] or less along each axis.

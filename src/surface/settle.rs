@@ -10,6 +10,9 @@ use super::{Crossing, LevelSurface};
 use glam::DVec3;
 use rayon::prelude::*;
 
+/// Number of edges that one task checks.
+const CHUNK: usize = 1 << 10;
+
 /// An edge of the grid (the sample where it starts, and its axis), a quadrilateral, and the number of their
 /// intersections.
 type Intersection = (([i32; 3], usize), u32, u32);
@@ -98,7 +101,8 @@ impl LevelSurface {
     /// The quadrilaterals that intersect an edge of the grid where they may put its ends on the wrong sides. `found` is
     /// sorted.
     fn misplaced(&self, found: &[Intersection], quads: &[Quad]) -> Vec<u32> {
-        let of_edges = found.chunk_by(|a, b| a.0 == b.0);
+        let of_edges: Vec<&[Intersection]> = found.chunk_by(|a, b| a.0 == b.0).collect();
+        let of_edges = of_edges.into_par_iter().with_min_len(CHUNK);
         of_edges
             .filter(|of_edge| {
                 let (index, axis) = of_edge[0].0;
@@ -107,7 +111,7 @@ impl LevelSurface {
                 let count = of_edge.iter().map(|&(_, _, count)| count).sum::<u32>() + u32::from(own);
                 (count % 2 == 1) != crossed.is_some()
             })
-            .flat_map(|of_edge| of_edge.iter().map(|&(_, quad, _)| quad))
+            .flat_map_iter(|of_edge| of_edge.iter().map(|&(_, quad, _)| quad))
             .collect()
     }
 }

@@ -4,7 +4,7 @@
 //! cross in a cell with one patch, both have this patch as a corner. The quadrilaterals at a patch are a *star*, and do
 //! not cross, if each lies in its own wedge around the vertex of the patch, seen along the mean of their normals. All
 //! other pairs are compared by exact orientations ([`triangles_cross`]): pairs at the patches of one cell, and pairs of
-//! a quadrilateral with a corner outside its cell and a quadrilateral in the cells that its box overlaps.
+//! a quadrilateral with a corner outside its cell and any quadrilateral whose box overlaps its box.
 //!
 //! Where a pair crosses, the patches at its corners are divided ([`super::division`]). Division changes the
 //! quadrilaterals around, so these are compared again. Each round divides at least one patch, and divided patches do
@@ -19,29 +19,35 @@ use super::{Crossing, LevelSurface};
 use crate::error::Error;
 use crate::geometry::triangles_cross;
 use crate::progress::Progress;
-use glam::{DVec2, DVec3, IVec3};
+use glam::{DVec2, DVec3};
 use rayon::prelude::*;
-use std::collections::HashSet;
+use rustc_hash::FxHashSet;
 
-/// Number of cells between two checks of the progress.
+/// Number of cells or quadrilaterals between two checks of the progress.
 const CHUNK: usize = 1 << 10;
+
+/// Number of blocks of cells that one task compares.
+const BLOCKS: usize = 1 << 6;
 
 /// Binary logarithm of the side of a block of cells.
 const BLOCK: i32 = 2;
 
-/// Most triangles of a quadrilateral: a fan around its edge over four vertices and four points on faces.
-const MOST_TRIANGLES: usize = 8;
-
 /// Smallest cross product of the sides of a wedge, voxels squared, far above the rounding of positions.
 const LEAST_WEDGE: f64 = 1e-6;
 
-/// The triangles of a quadrilateral: vertices and positions.
-struct Triangles {
+/// A triangle of the quadrilateral around a crossed edge.
+struct Triangle {
     edge: u32,
-    corners: [[Corner; 3]; MOST_TRIANGLES],
-    places: [[DVec3; 3]; MOST_TRIANGLES],
-    count: usize,
+    corners: [Corner; 3],
+    places: [DVec3; 3],
+    extent: Extent,
 }
+
+/// A box: lower and upper corner, world units.
+type Extent = [DVec3; 2];
+
+/// A block of cells, and an edge: whether its quadrilateral lies in the cells around it, and its number.
+type Entry = ([i32; 3], bool, u32);
 
 impl LevelSurface {
     /// Divides patches until no two faces cross each other. Vertices of divided patches move into their cells.
@@ -55,26 +61,27 @@ impl LevelSurface {
         progress: &Progress,
     ) -> Result<Division, Error> {
         let mut division = Division::default();
+        let mut changed: Vec<u32> = (0..quads.len() as u32).collect();
         let mut is_changed = vec![true; quads.len()];
+        let mut extents = Vec::new();
         loop {
             let tangle =
                 Tangle { surface: self, vertices, quads, crossings, division: &division, is_changed: &is_changed };
-            let mut patches = tangle.crossing_patches(progress)?;
+            tangle.update_extents(&changed, &mut extents);
+            let mut patches = tangle.crossing_patches(&changed, &extents, progress)?;
             patches.retain(|&patch| !division.contains(patch));
             if patches.is_empty() {
                 return Ok(division);
             }
             let added = self.divide(&patches, &mut division, vertices, crossings, extra, is_sharp);
-            is_changed.fill(false);
-            for edge in self.update_quads(&added, vertices, quads) {
-                is_changed[edge as usize] = true;
-            }
+            changed.iter().for_each(|&edge| is_changed[edge as usize] = false);
+            changed = self.update_quads(&added, vertices, quads);
+            changed.sort_unstable();
+            changed.dedup();
+            changed.iter().for_each(|&edge| is_changed[edge as usize] = true);
         }
     }
 }
-
-/// The box of a quadrilateral: lower and upper corner, world units.
-type Extent = [DVec3; 2];
 
 /// A surface with its vertices and quadrilaterals.
 struct Tangle<'a> {
@@ -88,51 +95,61 @@ struct Tangle<'a> {
 }
 
 impl Tangle<'_> {
+    /// Computes the boxes of changed quadrilaterals, those of all at first. Without a corner outside its cell none is
+    /// necessary, and no vertex moves out of its cell later.
+    fn update_extents(&self, changed: &[u32], extents: &mut Vec<Extent>) {
+        if changed.len() == self.quads.len() && !self.quads.par_iter().all(|quad| quad.is_around) {
+            let edges = (0..self.quads.len() as u32).into_par_iter();
+            edges.map(|edge| self.extent(edge)).collect_into_vec(extents);
+        } else if !extents.is_empty() {
+            changed.iter().for_each(|&edge| extents[edge as usize] = self.extent(edge));
+        }
+    }
+
     /// The patches at the corners of triangles that cross another one, sorted.
-    fn crossing_patches(&self, progress: &Progress) -> Result<Vec<u32>, Error> {
-        let cells = self.surface.cells.cells();
-        let patches = (0..self.surface.cells.patch_count() as u32).into_par_iter();
-        let is_star: Vec<bool> = patches.map(|patch| self.is_star(patch)).collect();
+    fn crossing_patches(&self, changed: &[u32], extents: &[Extent], progress: &Progress) -> Result<Vec<u32>, Error> {
+        let is_first = changed.len() == self.quads.len();
+        let cells: Vec<&SurfaceCell> = if is_first {
+            self.surface.cells.cells().iter().collect()
+        } else {
+            let patches = changed.iter().flat_map(|&edge| self.surface.links.patches_around(edge));
+            let mut cells: Vec<_> = patches.map(|patch| self.surface.cells.of_patch(patch)).collect();
+            cells.sort_unstable_by_key(|cell| cell.first_patch);
+            cells.dedup_by_key(|cell| cell.first_patch);
+            cells
+        };
+        let patches_of = |cell: &SurfaceCell| cell.first_patch..cell.first_patch + cell.patches().count() as u32;
+        let mut is_star = vec![false; self.surface.cells.patch_count()];
+        let stars = cells.par_iter().with_min_len(CHUNK).flat_map_iter(|cell| patches_of(cell));
+        let stars: Vec<u32> = stars.filter(|&patch| self.is_star(patch)).collect();
+        stars.into_iter().for_each(|patch| is_star[patch as usize] = true);
         let in_cells = cells.par_chunks(CHUNK).map(|cells| {
-            let (mut found, mut edges, mut triangles) = (Vec::new(), Vec::new(), Vec::new());
+            let (mut found, mut triangles) = (Vec::new(), Vec::new());
             for cell in cells {
-                let count = cell.patches().count() as u32;
+                let patches = patches_of(cell);
                 let first = cell.first_patch;
-                let is_known = count == 1 && (is_star[first as usize] || self.division.contains(first));
+                let is_known = patches.len() == 1 && (is_star[first as usize] || self.division.contains(first));
                 if !is_known {
-                    edges.clear();
-                    let patches = cell.first_patch..cell.first_patch + count;
-                    edges.extend(patches.flat_map(|patch| self.surface.links.edges_of(patch)));
-                    self.compare_all(&edges, &mut triangles, &mut found);
+                    triangles.clear();
+                    let edges = patches.flat_map(|patch| self.surface.links.edges_of(patch)).copied();
+                    // The other ones are compared by their boxes.
+                    let edges = edges.filter(|&edge| self.quads[edge as usize].is_around);
+                    edges.for_each(|edge| self.append_triangles(edge, &mut triangles));
+                    self.compare_all(&triangles, &mut found);
                 }
             }
             progress.check()?;
             Ok(found)
         });
-        let outside: Vec<u32> =
-            (0..self.quads.len() as u32).filter(|&edge| !self.quads[edge as usize].is_around).collect();
-        // All quadrilaterals are near a changed one at first.
-        let changed = self.is_changed.contains(&false).then(|| self.blocks_of_changed());
-        let extents: Vec<Extent> = if outside.is_empty() {
-            Vec::new()
-        } else {
-            (0..self.quads.len()).into_par_iter().map(|edge| self.extent(edge as u32)).collect()
-        };
-        let is_near = |edge: u32| {
-            changed.as_ref().is_none_or(|blocks| {
-                let mut own = self.blocks(extents[edge as usize]);
-                own.any(|block| blocks.contains(&block))
-            })
-        };
-        let outside: Vec<u32> = outside.into_iter().filter(|&edge| is_near(edge)).collect();
-        let beyond = outside.par_chunks(CHUNK).map(|edges| {
-            let (mut found, mut others) = (Vec::new(), Vec::new());
-            edges.iter().for_each(|&edge| self.compare_around(edge, &extents, &is_star, &mut others, &mut found));
+        let entries = if extents.is_empty() { Vec::new() } else { self.entries(changed, extents) };
+        let blocks: Vec<&[Entry]> = entries.chunk_by(|a, b| a.0 == b.0).collect();
+        let beyond = blocks.par_chunks(BLOCKS).map(|blocks| {
+            let (mut found, mut triangles) = (Vec::new(), [Vec::new(), Vec::new()]);
+            blocks.iter().for_each(|block| self.compare_outside(block, extents, &is_star, &mut triangles, &mut found));
             progress.check()?;
             Ok(found)
         });
         let mut found = in_cells.chain(beyond).collect::<Result<Vec<_>, Error>>()?.concat();
-        self.compare_outside(&outside, &extents, &is_star, &mut found);
         found.sort_unstable();
         found.dedup();
         Ok(found)
@@ -195,71 +212,82 @@ impl Tangle<'_> {
         [lower, upper]
     }
 
-    /// The triangles of a quadrilateral.
-    fn triangles(&self, edge: u32) -> Triangles {
+    /// Appends the triangles of a quadrilateral.
+    fn append_triangles(&self, edge: u32, triangles: &mut Vec<Triangle>) {
         let quad = &self.quads[edge as usize];
-        let (corner, place) = (Corner::Edge(edge), DVec3::ZERO);
-        let (corners_of, places) = ([[corner; 3]; MOST_TRIANGLES], [[place; 3]; MOST_TRIANGLES]);
-        let mut all = Triangles { edge, corners: corners_of, places, count: 0 };
-        self.division.for_triangles(edge, corners(&self.surface.links, edge, quad), quad, |triangle| {
-            all.corners[all.count] = triangle;
-            all.places[all.count] = triangle.map(|corner| self.place(corner));
-            all.count += 1;
+        self.division.for_triangles(edge, corners(&self.surface.links, edge, quad), quad, |corners| {
+            let places @ [a, b, c] = corners.map(|corner| self.place(corner));
+            triangles.push(Triangle { edge, corners, places, extent: [a.min(b).min(c), a.max(b).max(c)] });
         });
-        all
     }
 
-    /// Compares all pairs of some quadrilaterals, of which one has changed. `triangles` is a buffer.
-    fn compare_all(&self, edges: &[u32], triangles: &mut Vec<Triangles>, found: &mut Vec<u32>) {
-        if !edges.iter().any(|&edge| self.is_changed[edge as usize]) {
-            return;
-        }
-        triangles.clear();
-        triangles.extend(edges.iter().map(|&edge| self.triangles(edge)));
+    /// Compares all pairs of some triangles.
+    fn compare_all(&self, triangles: &[Triangle], found: &mut Vec<u32>) {
         for (i, first) in triangles.iter().enumerate() {
             triangles[..i].iter().for_each(|second| self.compare(first, second, found));
         }
     }
 
-    /// The blocks of cells that the boxes of changed quadrilaterals overlap.
-    fn blocks_of_changed(&self) -> HashSet<IVec3> {
-        let changed = (0..).zip(self.is_changed).filter(|&(_, &is_changed)| is_changed);
-        changed.flat_map(|(edge, _)| self.blocks(self.extent(edge))).collect()
+    /// The quadrilaterals in the blocks where a pair has to be compared by boxes, sorted by block. In each block those
+    /// with a corner outside their cell come first.
+    fn entries(&self, changed: &[u32], extents: &[Extent]) -> Vec<Entry> {
+        let is_first = changed.len() == self.quads.len();
+        let is_outside = |&&edge: &&u32| !self.quads[edge as usize].is_around;
+        let seeds = changed.iter().filter(|edge| !is_first || is_outside(edge));
+        let blocks: FxHashSet<[i32; 3]> = seeds.flat_map(|&edge| self.blocks(extents[edge as usize])).collect();
+        let edges = (0..extents.len()).into_par_iter().with_min_len(CHUNK);
+        let entries = edges.flat_map_iter(|edge| {
+            let own = self.blocks(extents[edge]).filter(|block| blocks.contains(block));
+            own.map(move |block| (block, self.quads[edge].is_around, edge as u32))
+        });
+        let mut entries: Vec<Entry> = entries.collect();
+        entries.par_sort_unstable();
+        entries
     }
 
-    fn blocks(&self, extent: Extent) -> impl Iterator<Item = IVec3> + use<> {
-        let [lower, upper] = extent.map(|place| self.surface.cell_at(place) >> BLOCK);
-        indices(lower, upper)
+    /// The blocks of cells that a box overlaps.
+    fn blocks(&self, extent: Extent) -> impl Iterator<Item = [i32; 3]> + use<> {
+        let [low, high] = extent.map(|place| self.block_at(place));
+        let rows = (low[2]..=high[2]).flat_map(move |z| (low[1]..=high[1]).map(move |y| (y, z)));
+        rows.flat_map(move |(y, z)| (low[0]..=high[0]).map(move |x| [x, y, z]))
     }
 
-    /// Compares a quadrilateral with the quadrilaterals at the patches of the cells that its box overlaps. `others` is
-    /// a buffer.
-    fn compare_around(
+    /// The block of cells of a position.
+    fn block_at(&self, place: DVec3) -> [i32; 3] {
+        (((place - self.surface.lower) / self.surface.spacing - 0.5).floor().as_ivec3() >> BLOCK).to_array()
+    }
+
+    /// Compares the quadrilaterals of a block that have a corner outside their cell with all others there. A pair is
+    /// compared in the first of their common blocks. `triangles` are buffers.
+    fn compare_outside(
         &self,
-        edge: u32,
+        block: &[Entry],
         extents: &[Extent],
         is_star: &[bool],
-        others: &mut Vec<u32>,
+        [own, others]: &mut [Vec<Triangle>; 2],
         found: &mut Vec<u32>,
     ) {
-        let surface = self.surface;
-        let extent = extents[edge as usize];
-        let [lower, upper] = extent.map(|place| surface.cell_at(place));
-        let is_candidate = |other: u32| {
-            other != edge
-                && (self.is_changed[edge as usize] || self.is_changed[other as usize])
-                && overlap(extent, extents[other as usize])
-                && !self.are_in_one_star(edge, other, is_star)
-        };
-        others.clear();
-        for cell in indices(lower, upper).filter_map(|index| surface.cells.find(index.to_array())) {
-            others.extend(edges_at(surface, cell).filter(|&other| is_candidate(other)));
-        }
-        others.sort_unstable();
-        others.dedup();
-        if !others.is_empty() {
-            let own = self.triangles(edge);
-            others.iter().for_each(|&other| self.compare(&own, &self.triangles(other), found));
+        for (i, &(here, _, first)) in block.iter().enumerate().take_while(|(_, entry)| !entry.1) {
+            let [lower, upper] = extents[first as usize];
+            own.clear();
+            for &(_, _, second) in &block[i + 1..] {
+                let [low, high] = extents[second as usize];
+                if (self.is_changed[first as usize] || self.is_changed[second as usize])
+                    && lower.cmple(high).all()
+                    && low.cmple(upper).all()
+                    && self.block_at(lower.max(low)) == here
+                    && !self.are_in_one_star(first, second, is_star)
+                {
+                    if own.is_empty() {
+                        self.append_triangles(first, own);
+                    }
+                    others.clear();
+                    self.append_triangles(second, others);
+                    for triangle in &*own {
+                        others.iter().for_each(|other| self.compare(triangle, other, found));
+                    }
+                }
+            }
         }
     }
 
@@ -270,78 +298,22 @@ impl Tangle<'_> {
         own.iter().any(|patch| is_star[*patch as usize] && around.contains(patch))
     }
 
-    /// Compares quadrilaterals with corners outside their cells with each other.
-    fn compare_outside(&self, edges: &[u32], extents: &[Extent], is_star: &[bool], found: &mut Vec<u32>) {
-        let mut entries: Vec<([i32; 3], u32)> = Vec::with_capacity(8 * edges.len());
-        for &edge in edges {
-            let [lower, upper] = extents[edge as usize].map(|place| self.surface.cell_at(place));
-            entries.extend(indices(lower, upper).map(|index| (index.to_array(), edge)));
+    /// Appends the patches at the corners of two triangles that cross, of different quadrilaterals of which one has
+    /// changed.
+    fn compare(&self, first: &Triangle, second: &Triangle, found: &mut Vec<u32>) {
+        let ([lower, upper], [low, high]) = (first.extent, second.extent);
+        // Faces on both sides of an edge touch there.
+        if first.edge != second.edge
+            && (self.is_changed[first.edge as usize] || self.is_changed[second.edge as usize])
+            && lower.cmple(high).all()
+            && low.cmple(upper).all()
+            && first.corners.iter().filter(|corner| second.corners.contains(corner)).count() < 2
+            && triangles_cross(first.places, second.places)
+        {
+            found.extend(first.corners.iter().chain(&second.corners).filter_map(|corner| match corner {
+                Corner::Patch(patch) => Some(*patch),
+                Corner::Edge(_) | Corner::Face(..) => None,
+            }));
         }
-        entries.par_sort_unstable();
-        let mut pairs = Vec::new();
-        for group in entries.chunk_by(|a, b| a.0 == b.0) {
-            for (i, &(_, first)) in group.iter().enumerate() {
-                let others = group[..i].iter().map(|entry| entry.1);
-                let overlapping = others.filter(|&other| {
-                    overlap(extents[first as usize], extents[other as usize])
-                        && !self.are_in_one_star(first, other, is_star)
-                });
-                pairs.extend(overlapping.map(|other| (first, other)));
-            }
-        }
-        pairs.sort_unstable();
-        pairs.dedup();
-        for (first, second) in pairs {
-            self.compare(&self.triangles(first), &self.triangles(second), found);
-        }
-    }
-
-    /// Appends the patches at the corners of triangles of two quadrilaterals that cross.
-    fn compare(&self, first: &Triangles, second: &Triangles, found: &mut Vec<u32>) {
-        if !self.is_changed[first.edge as usize] && !self.is_changed[second.edge as usize] {
-            return;
-        }
-        for i in 0..first.count {
-            for j in 0..second.count {
-                let (own, others) = (&first.corners[i], &second.corners[j]);
-                let [[a, b, c], [d, e, f]] = [&first.places[i], &second.places[j]];
-                let overlaps = a.min(*b).min(*c).cmple(d.max(*e).max(*f)).all()
-                    && d.min(*e).min(*f).cmple(a.max(*b).max(*c)).all();
-                // Faces on both sides of an edge touch there.
-                if overlaps
-                    && own.iter().filter(|corner| others.contains(corner)).count() < 2
-                    && triangles_cross(first.places[i], second.places[j])
-                {
-                    found.extend(own.iter().chain(others).filter_map(|corner| match corner {
-                        Corner::Patch(patch) => Some(*patch),
-                        Corner::Edge(_) | Corner::Face(..) => None,
-                    }));
-                }
-            }
-        }
-    }
-}
-
-/// Whether two boxes overlap.
-fn overlap([lower, upper]: Extent, [low, high]: Extent) -> bool {
-    lower.cmple(high).all() && low.cmple(upper).all()
-}
-
-/// The indices from `lower` to `upper`.
-fn indices(lower: IVec3, upper: IVec3) -> impl Iterator<Item = IVec3> + use<> {
-    let rows = (lower.z..=upper.z).flat_map(move |z| (lower.y..=upper.y).map(move |y| (y, z)));
-    rows.flat_map(move |(y, z)| (lower.x..=upper.x).map(move |x| IVec3::new(x, y, z)))
-}
-
-/// The crossed edges at the patches of a cell.
-fn edges_at<'a>(surface: &'a LevelSurface, cell: &SurfaceCell) -> impl Iterator<Item = u32> + use<'a> {
-    let patches = cell.first_patch..cell.first_patch + cell.patches().count() as u32;
-    patches.flat_map(|patch| surface.links.edges_of(patch)).copied()
-}
-
-impl LevelSurface {
-    /// The cell of a position.
-    fn cell_at(&self, place: DVec3) -> IVec3 {
-        ((place - self.lower) / self.spacing - 0.5).floor().as_ivec3()
     }
 }
