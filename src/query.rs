@@ -36,6 +36,7 @@ pub use thickness::thickness;
 
 use crate::bvh::nearest::closest::ClosestPoint;
 use crate::error::{ArgumentError, Error};
+use crate::geometry::morton_code;
 use crate::gpu::{self, Place};
 use crate::memory::{prefetch, space_for, zeroed_rows};
 use crate::mesh::Mesh;
@@ -279,8 +280,7 @@ pub(crate) fn curve(points: &[[f64; 3]], progress: &Progress) -> Result<Vec<u32>
     let key = |(row, &p): (usize, &[f64; 3])| {
         let cell = (DVec3::from_array(p) * 0.5 - lower * 0.5) * 2.0 * scale;
         // Casting saturates.
-        let code = spread(cell.x as u64) | spread(cell.y as u64) << 1 | spread(cell.z as u64) << 2;
-        code << row_bits | row as u64
+        morton_code(cell.to_array().map(|x| x as u64)) << row_bits | row as u64
     };
     let mut keys: Vec<u64> = space_for("points", points.len())?;
     points.par_iter().enumerate().map(key).collect_into_vec(&mut keys);
@@ -335,16 +335,6 @@ fn sorted(mut keys: Vec<u64>, progress: &Progress) -> Result<Vec<u64>, Error> {
         progress.check()
     })?;
     Ok(sorted)
-}
-
-/// Two empty bits after each of the low 21 bits.
-fn spread(x: u64) -> u64 {
-    let x = x & 0x1f_ffff;
-    let x = (x | x << 32) & 0x1f_0000_0000_ffff;
-    let x = (x | x << 16) & 0x1f_0000_ff00_00ff;
-    let x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
-    let x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
-    (x | x << 2) & 0x1249_2492_4924_9249
 }
 
 fn check_points(mesh: &Mesh, points: &[[f64; 3]]) -> Result<(), ArgumentError> {

@@ -95,8 +95,8 @@ struct Tangle<'a> {
 }
 
 impl Tangle<'_> {
-    /// Computes the boxes of changed quadrilaterals, those of all at first. Without a corner outside its cell none is
-    /// necessary, and no vertex moves out of its cell later.
+    /// Computes the boxes of changed quadrilaterals; at first all have changed. Boxes are not necessary if all corners
+    /// lie in their cells. No vertex moves out of its cell later.
     fn update_extents(&self, changed: &[u32], extents: &mut Vec<Extent>) {
         if changed.len() == self.quads.len() && !self.quads.par_iter().all(|quad| quad.is_around) {
             let edges = (0..self.quads.len() as u32).into_par_iter();

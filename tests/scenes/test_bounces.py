@@ -184,7 +184,7 @@ def test_lamps_without_faces_have_no_more_noise_than_meshes_of_the_same_form(nam
 def test_denoised_light_has_the_mean_of_the_samples_and_a_fraction_of_their_noise():
     lamp = fb.Mesh(*meshes.icosphere(3, 0.15, (0, 1, 0)))
     truth = 0.15**2 / (1 + distance_from_axis(40) ** 2) ** 1.5
-    noisy, smooth = (lit_floor(lamp, 256, denoise=denoise) for denoise in (False, True))
+    noisy, smooth = (lit_floor(lamp, 32, denoise=denoise) for denoise in (False, True))
     errors = [light / truth - 1 for light in (noisy, smooth)]
 
     # The mesh of the ball is 1 % smaller than the ball.
@@ -393,7 +393,9 @@ def test_more_emissive_faces_than_memory_are_refused_with_their_size():
     scene = fb.Scene([fb.Instance(sheet, material=fb.Material(emission=(1, 1, 1)))] * 40_000, [])
     count = 40_000 * len(sheet.faces)
 
-    with pytest.raises(fb.CapacityError, match=rf"{count} emissive faces needs {16 * count} bytes .*bounces"):
+    # An entry of 16 bytes before and after it is sorted with a key of 8, an index, and two nodes for 16 faces.
+    needed = (16 + 24 + 4) * count + 2 * 88 * -(-count // 16)
+    with pytest.raises(fb.CapacityError, match=rf"{count} emissive faces needs {needed} bytes .*bounces"):
         fb.render(scene, ABOVE, size=(2, 2), bounces=1, device="cpu")
 
 

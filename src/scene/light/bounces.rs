@@ -139,11 +139,6 @@ impl<'a> Bounces<'a> {
         }))
     }
 
-    /// Number of own paths of a surface.
-    pub(crate) fn paths(&self) -> u32 {
-        self.options.samples
-    }
-
     /// Linear RGB of the indirect light that a white surface reflects.
     pub(crate) fn light_on(&self, place: &SurfacePoint, paths: Paths, work: &mut LightWork) -> Vec3 {
         let samples = Samples::new(paths, self.options.samples);

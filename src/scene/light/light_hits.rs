@@ -29,6 +29,8 @@ pub(crate) struct LightHit {
     pub t: f64,
     /// The surface as the start of other rays; its normal is on the side that was hit.
     pub place: SurfacePoint,
+    /// The face of a mesh that was hit, 0 for objects without faces.
+    pub face: u32,
     /// Index of its material in the scene's list.
     pub material: u32,
     /// Linear RGB of the reflected fraction; zero if the surface shows its colour without lighting.
@@ -112,7 +114,7 @@ impl Scene {
         let material = &self.materials[instance.first_material as usize];
         let (color, emission) = (field_color(instance, material, &appearance), field_emission(material));
         let place = SurfacePoint { p, normal, own: item, bias_voxels: BIAS_FIELD, lift: Vec3::ZERO, skips_own: false };
-        Some(self.light_hit(ray, place, instance.first_material, color, emission))
+        Some(self.light_hit(ray, place, (0, instance.first_material), color, emission))
     }
 
     /// A hit of a face. `ray` ends there.
@@ -131,13 +133,22 @@ impl Scene {
             lift: triangles.to_smooth_surface(hit.face, hit.weights, hit.is_front),
             skips_own: false,
         };
-        Some(self.light_hit(ray, place, face.material_index(), face.color(footprint).truncate(), emission))
+        let at = (hit.face, face.material_index());
+        Some(self.light_hit(ray, place, at, face.color(footprint).truncate(), emission))
     }
 
-    fn light_hit(&self, ray: &LightRay, place: SurfacePoint, material: u32, color: Vec3, emission: Vec3) -> LightHit {
+    /// The hit at the end of a ray, on a face with a material.
+    fn light_hit(
+        &self,
+        ray: &LightRay,
+        place: SurfacePoint,
+        (face, material): (u32, u32),
+        color: Vec3,
+        emission: Vec3,
+    ) -> LightHit {
         let is_unlit = self.materials[material as usize].unlit;
         let (albedo, emission) = if is_unlit { (Vec3::ZERO, emission + color) } else { (color, emission) };
-        LightHit { t: ray.t_max, place, material, albedo, emission }
+        LightHit { t: ray.t_max, place, face, material, albedo, emission }
     }
 }
 

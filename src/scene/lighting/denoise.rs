@@ -13,9 +13,11 @@
 //! contacts, and at the edges of shadows.
 //!
 //! Only some pixels are evaluated. The sums are normalised convolutions: a pixel without a value has the weight 0, and
-//! obtains one from its neighbours (Knutsson and Westin, CVPR 1993). The weight of a value is the number of evaluated
-//! pixels that it has the precision of. A sum replaces only the part of a value that reduces the error to the error of
-//! the mean of [`ENOUGH`] paths, so places with many evaluated pixels keep their detail.
+//! obtains one from its neighbours (Knutsson and Westin, CVPR 1993). A sum takes the value of the linear function
+//! nearest to the pixels, since a mean is displaced where they lie on one side, as at the end of a surface. The weight
+//! of a value is the number of evaluated pixels that it has the precision of. A sum replaces only the part of a value
+//! that reduces its error to [`PRECISE`] of the light, by the noise of the picture, so places with many evaluated
+//! pixels keep their detail.
 //!
 //! A mean over pixels flattens peaks of light. The filter is therefore applied a second time to what it has removed,
 //! and the result is added (twicing: Tukey, *Exploratory data analysis*, 1977).
@@ -24,21 +26,29 @@ use super::light_buffer::LightBuffer;
 use crate::error::Error;
 use crate::progress::Progress;
 use crate::scene::visibility::gbuffer::{GBuffer, Layer};
-use glam::Vec3;
+use glam::{Mat3, Vec2, Vec3};
 use rayon::prelude::*;
 
 /// Number of sums. The pixels of the last one are 32 apart at most.
 const SUMS: u32 = 5;
 /// Weights of the five pixels of a row or column: a cubic B-spline.
 const SPLINE: [f32; 3] = [3.0 / 8.0, 1.0 / 4.0, 1.0 / 16.0];
-/// Number of paths whose mean is precise enough.
-const ENOUGH: f32 = 16_384.0;
+/// Relative error of light that is precise enough: less than half a step of an 8-bit sRGB value.
+const PRECISE: f32 = 1.0 / 128.0;
+/// Smallest level of light to which the noise is relative, in units of the smallest level for differences.
+const DARK: f32 = 1.0 / 16.0;
+/// Largest distance of two evaluated pixels in a row whose difference shows the noise.
+const NEIGHBOURS: u32 = 8;
+/// Ratio of the standard deviation of a normal distribution to the median of its magnitude.
+const DEVIATION_OF_MEDIAN: f32 = 1.4826;
 /// Relative difference of two values of the guide that reduces their weight to 1/e.
 const GUIDE: f32 = 0.15;
 /// Smallest cosine between the normals of surfaces that share light.
 const LEAST_COSINE: f32 = 0.8;
 /// Angle between normals that reduces the weight to 1/e, as a difference of the cosine from 1.
 const NORMAL: f32 = 0.005;
+/// Weight of the pull of the slopes of light to 0, relative to the pixels, for offsets in steps of a sum.
+const SLOPE_PULL: f32 = 0.02;
 /// Largest distance from the plane of a surface at which others share its light, in pixels between the two.
 const OFF_PLANE: f64 = 0.5;
 
@@ -46,17 +56,15 @@ const OFF_PLANE: f64 = 0.5;
 type Row = Vec<(Vec3, f32)>;
 
 /// Filters the light of evaluated pixels, those that are known in `own`. `guide` has light on all layers. `unit` is the
-/// smallest level of light to which differences are relative, and `paths` the number of paths of an evaluated pixel.
-/// Returns filtered light on all layers.
+/// smallest level of light to which differences are relative. Returns filtered light on all layers.
 pub(crate) fn filter(
     buffer: &GBuffer,
     guide: &LightBuffer,
     mut own: LightBuffer,
-    [unit, paths]: [f32; 2],
+    unit: f32,
     progress: &Progress,
 ) -> Result<LightBuffer, Error> {
     let firsts: Vec<Vec<u32>> = buffer.rows.par_iter().map(|row| first_layers(row, buffer.view.size[0])).collect();
-    let picture = Picture { buffer, firsts: &firsts, guide, unit, enough: ENOUGH / paths };
     let evaluated: Vec<Row> = own
         .rows
         .iter()
@@ -65,6 +73,8 @@ pub(crate) fn filter(
             values.map(|(value, &known)| (Vec3::from_array(*value), f32::from(u8::from(known)))).collect()
         })
         .collect();
+    let enough = (noise(buffer, guide, &evaluated, unit) / PRECISE).powi(2).max(1.0);
+    let picture = Picture { buffer, firsts: &firsts, guide, unit, enough };
     let mut light = picture.sums(evaluated.clone(), progress)?;
     let rest = evaluated
         .iter()
@@ -82,6 +92,34 @@ pub(crate) fn filter(
         }
     }
     Ok(own)
+}
+
+/// The relative standard deviation of evaluated light. The light and the guide change alike from a pixel to the next
+/// one, so the differences of their difference are noise.
+fn noise(buffer: &GBuffer, guide: &LightBuffer, evaluated: &[Row], unit: f32) -> f32 {
+    let rows = buffer.rows.par_iter().zip(evaluated).enumerate();
+    let mut differences: Vec<f32> = rows
+        .flat_map_iter(|(y, (layers, values))| {
+            let mut before: Option<(u32, u32, f32)> = None;
+            layers.iter().zip(values).enumerate().filter_map(move |(i, (layer, &(value, count)))| {
+                if count == 0.0 {
+                    return None;
+                }
+                let level = Vec3::from_slice(guide.values_at(y, i).0);
+                let off = (value - level).element_sum() / (3.0 * DARK * unit).max(level.element_sum());
+                let last = before.replace((layer.x, layer.instance, off));
+                let (_, _, other) =
+                    last.filter(|&(x, instance, _)| instance == layer.instance && layer.x.abs_diff(x) <= NEIGHBOURS)?;
+                Some((off - other).abs())
+            })
+        })
+        .collect();
+    if differences.is_empty() {
+        return 0.0;
+    }
+    let middle = differences.len() / 2;
+    let (_, median, _) = differences.select_nth_unstable_by(middle, f32::total_cmp);
+    *median * DEVIATION_OF_MEDIAN / std::f32::consts::SQRT_2
 }
 
 /// Index of the first layer of each pixel of a row, and the number of layers.
@@ -123,7 +161,8 @@ impl Picture<'_> {
         Ok(light)
     }
 
-    /// The weighted mean of 5 x 5 pixels around layer `i` of row `y`, `apart` from each other.
+    /// The value at layer `i` of row `y` of the linear function nearest to 5 x 5 pixels around it, which are `apart`
+    /// from each other.
     fn sum(&self, light: &[Row], y: usize, i: usize, apart: i32) -> (Vec3, f32) {
         let own = light[y][i];
         if own.1 >= self.enough {
@@ -134,7 +173,7 @@ impl Picture<'_> {
         let p = view.position(layer.x, y as u32, layer.depth);
         let pixel = view.pixel_size_at(layer.depth);
         let level = Vec3::from_slice(self.guide.values_at(y, i).0);
-        let (mut sum, mut total, mut squares) = (Vec3::ZERO, 0.0, 0.0);
+        let mut fit = LinearFit::new();
         for dy in -2..=2i32 {
             let line = y as i32 + dy * apart;
             let Some(firsts) = usize::try_from(line).ok().and_then(|line| self.firsts.get(line)) else { continue };
@@ -163,19 +202,61 @@ impl Picture<'_> {
                     let weight = SPLINE[dx.unsigned_abs() as usize]
                         * SPLINE[dy.unsigned_abs() as usize]
                         * (-change * change - (1.0 - cosine) / NORMAL).exp();
-                    sum += weight * count * value;
-                    total += weight * count;
-                    squares += weight * weight * count;
+                    fit.add(Vec2::new(dx as f32, dy as f32), weight, count, value);
                     break;
                 }
             }
         }
-        let count = if total > 0.0 { total * total / squares } else { 0.0 };
+        let (value, count) = fit.at_center();
         if count <= own.1 {
             return own;
         }
         // The part of the sum that reduces the error of the value to the error of the mean of enough pixels.
         let part = ((1.0 - (own.1 / self.enough).sqrt()) / (1.0 - (own.1 / count).sqrt())).min(1.0);
-        (own.0.lerp(sum / total, part), count.min(self.enough))
+        (own.0.lerp(value, part), count.min(self.enough))
+    }
+}
+
+/// Weighted sums over pixels for the linear function that is nearest to their values.
+struct LinearFit {
+    /// The normal equations for the value at the centre and the slopes along both axes.
+    matrix: Mat3,
+    right: [Vec3; 3],
+    /// Sums of squared weights, times the same products as in the matrix.
+    squares: Mat3,
+    /// The range of the values.
+    lower: Vec3,
+    upper: Vec3,
+}
+
+impl LinearFit {
+    fn new() -> Self {
+        let (lower, upper) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+        Self { matrix: Mat3::ZERO, right: [Vec3::ZERO; 3], squares: Mat3::ZERO, lower, upper }
+    }
+
+    /// Adds a pixel at an offset from the centre, whose value has the precision of `count` evaluated pixels.
+    fn add(&mut self, offset: Vec2, weight: f32, count: f32, value: Vec3) {
+        let row = Vec3::new(1.0, offset.x, offset.y);
+        let products = Mat3::from_cols(row, row * offset.x, row * offset.y);
+        self.matrix += products * (weight * count);
+        self.squares += products * (weight * weight * count);
+        (self.lower, self.upper) = (self.lower.min(value), self.upper.max(value));
+        let value = weight * count * value;
+        self.right = [self.right[0] + value, self.right[1] + value * offset.x, self.right[2] + value * offset.y];
+    }
+
+    /// The value at the centre, and the number of evaluated pixels that it has the precision of.
+    fn at_center(&self) -> (Vec3, f32) {
+        let total = self.matrix.x_axis.x;
+        if total <= 0.0 {
+            return (Vec3::ZERO, 0.0);
+        }
+        // A small pull of the slopes to 0 determines them where the pixels lie on a line.
+        let pull = Mat3::from_diagonal(SLOPE_PULL * total * Vec3::new(0.0, 1.0, 1.0));
+        let shares = ((self.matrix + pull) * (1.0 / total)).inverse().x_axis / total;
+        let value = self.right[0] * shares.x + self.right[1] * shares.y + self.right[2] * shares.z;
+        // A function through pixels on one side may leave their range.
+        (value.clamp(self.lower, self.upper), 1.0 / shares.dot(self.squares * shares))
     }
 }

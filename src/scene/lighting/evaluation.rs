@@ -114,7 +114,7 @@ pub(crate) fn find_bounces(
             *work += common;
         }
     }
-    denoise::filter(pass.buffer, &guide, own, [least_level(pass.options), bounces.paths() as f32], pass.progress)
+    denoise::filter(pass.buffer, &guide, own, least_level(pass.options), pass.progress)
 }
 
 /// Interpolates light from a G-buffer at the centres of the pixels, and evaluates the rest.

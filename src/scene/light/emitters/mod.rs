@@ -2,7 +2,8 @@
 //!
 //! # Theory
 //!
-//! Points on the faces of emissive meshes are drawn in proportion to area and brightness. A shape, a volume or a
+//! A face of an emissive mesh is drawn in proportion to an estimate of its light at the place ([`tree`]), and a point
+//! on it at random. A shape, a volume or a
 //! quadric has no faces. Its surface lies in a box, so points on the sides of that box are drawn instead, and the
 //! object emits where the ray through the point hits it. From a place outside, at most three sides face the place, and
 //! each ray into the box enters through one of them. Seen from the place at the distance `d` from its centre, a side of
@@ -20,6 +21,7 @@ use super::light_hits::{LEAST_OPACITY, LightHit};
 use super::light_rays::{LightRay, LightWork, SurfacePoint};
 use super::shadow::TracedScene;
 use crate::error::Error;
+use crate::geometry::morton_code;
 use crate::memory::require_for;
 use crate::progress::Progress;
 use crate::scene::content::instance::Instance;
@@ -32,6 +34,9 @@ use glam::{DAffine3, DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 use std::f64::consts::PI;
 use std::ops::Range;
+use tree::{Bounds, EmitterTree};
+
+mod tree;
 
 /// Relative distance within which a hit lies on a face.
 const SAME_PLACE: f64 = 1e-4;
@@ -51,21 +56,29 @@ struct Emitter {
     end: f64,
 }
 
+/// An emissive face after its key: the octant of its normal, and the position of its middle on a space-filling curve.
+type SortedEmitter = (u64, Emitter);
+
+/// Largest index of a cell of a space-filling curve along an axis.
+const LAST_CELL: f64 = ((1 << 20) - 1) as f64;
+
 /// Stands for the face of an object without faces.
 const WHOLE: u32 = u32::MAX;
 
 /// The emitters of an instance.
 enum Lamp {
     Nothing,
-    Faces,
-    /// An object in a box, and the fraction of the directions that are drawn to it.
-    Boxed(Box<LampBox>, f64),
+    /// The position of each face in the list, [`WHOLE`] for a face that emits no light.
+    Faces(Vec<u32>),
+    /// An object in a box, and its position in the list.
+    Boxed(Box<LampBox>, u32),
 }
 
 /// The emissive surfaces that cast shadows.
 #[derive(Default)]
 pub(crate) struct Emitters {
     list: Vec<Emitter>,
+    tree: EmitterTree,
     /// One for each instance.
     lamps: Vec<Lamp>,
 }
@@ -179,7 +192,8 @@ impl Emitters {
             batches.extend((0..count).step_by(BATCH).map(|first| (item, first..count.min(first + BATCH))));
         }
         let count: usize = batches.iter().map(|(_, faces)| faces.len()).sum();
-        let needed = (count * size_of::<Emitter>()) as u64;
+        let per_face = size_of::<Emitter>() + size_of::<SortedEmitter>() + size_of::<u32>();
+        let needed = (count * per_face + EmitterTree::bytes(count)) as u64;
         require_for(&format!("a table of {count} emissive faces"), needed, needed, ADVICE)?;
 
         let batches = batches
@@ -189,39 +203,56 @@ impl Emitters {
                 Ok(weights(scene, item, faces))
             })
             .collect::<Result<Vec<_>, Error>>()?;
-        let mut list = batches.concat();
+        let mut sorted = batches.concat();
+        sorted.par_sort_unstable_by_key(|(key, emitter)| (emitter.instance, *key, emitter.face));
+        let mut list: Vec<Emitter> = sorted.into_iter().map(|(_, emitter)| emitter).collect();
         let mut lamps: Vec<Lamp> = scene.instances.iter().map(|_| Lamp::Nothing).collect();
-        for face in &list {
-            lamps[face.instance as usize] = Lamp::Faces;
+        for own in list.chunk_by(|a, b| a.instance == b.instance) {
+            let item = own[0].instance as usize;
+            let faces = scene.instances[item].triangles.as_deref().map_or(0, |triangles| triangles.mesh.faces().len());
+            lamps[item] = Lamp::Faces(vec![WHOLE; faces]);
+        }
+        for (position, face) in (0..).zip(&list) {
+            if let Lamp::Faces(positions) = &mut lamps[face.instance as usize] {
+                positions[face.face as usize] = position;
+            }
         }
         for (item, instance) in scene.instances.iter().enumerate() {
             let Some((field, brightness)) = emissive_object(scene, instance) else { continue };
             let around = LampBox::new(instance, field);
             let end = around.area() * brightness;
             if end > 0.0 && end.is_finite() {
+                lamps[item] = Lamp::Boxed(Box::new(around), list.len() as u32);
                 list.push(Emitter { instance: item as u32, face: WHOLE, end });
-                lamps[item] = Lamp::Boxed(Box::new(around), end);
             }
         }
+        let tree = EmitterTree::new(list.len(), |i| bounds(scene, &lamps, &list[i]));
         let mut sum = 0.0;
         for emitter in &mut list {
             sum += emitter.end;
             emitter.end = sum;
         }
-        for lamp in &mut lamps {
-            if let Lamp::Boxed(_, share) = lamp {
-                *share /= sum;
-            }
-        }
-        Ok(Self { list, lamps })
+        Ok(Self { list, tree, lamps })
     }
 
     pub(crate) fn is_empty(&self) -> bool {
         self.list.is_empty()
     }
 
-    fn total(&self) -> f64 {
-        self.list.last().map_or(0.0, |emitter| emitter.end)
+    /// The sum of area times brightness of all emitters before one.
+    fn start(&self, emitter: usize) -> f64 {
+        if emitter == 0 { 0.0 } else { self.list[emitter - 1].end }
+    }
+
+    /// The probability to draw an emitter of a leaf, divided by its area times brightness. The leaf has a probability.
+    fn density(&self, leaf: &Range<usize>, probability: f64) -> f64 {
+        probability / (self.list[leaf.end - 1].end - self.start(leaf.start))
+    }
+
+    /// The probability that a place draws the emitter at a position in the list, divided by its area times brightness.
+    fn density_of(&self, emitter: u32, place: &SurfacePoint) -> f64 {
+        let (leaf, probability) = self.tree.leaf_of(emitter as usize, place.p, place.normal.as_dvec3());
+        self.density(&leaf, probability)
     }
 
     /// Weight of the emission of a hit that a path found by a cosine-weighted direction. Points drawn on the emitters
@@ -235,13 +266,22 @@ impl Emitters {
     ) -> f32 {
         let drawn = match &self.lamps[hit.place.own as usize] {
             Lamp::Nothing => return 1.0,
-            Lamp::Faces => {
-                let per_area = brightness(&scene.materials[hit.material as usize]) / self.total();
-                let cosine = -hit.place.normal.as_dvec3().dot(ray.direction);
+            Lamp::Faces(positions) => {
+                let instance = &scene.instances[hit.place.own as usize];
+                let (Some(triangles), Some(&position)) =
+                    (instance.triangles.as_deref(), positions.get(hit.face as usize).filter(|&&at| at != WHOLE))
+                else {
+                    return 1.0;
+                };
+                let cross = PlacedFace::new(triangles, hit.face, instance.tree_from_scene.inverse()).cross;
+                let cosine = cross.normalize().dot(ray.direction).abs();
+                let per_area = brightness(&scene.materials[hit.material as usize]) * self.density_of(position, place);
                 per_area * hit.t * hit.t / cosine.max(f64::MIN_POSITIVE)
             }
-            Lamp::Boxed(around, share) => {
+            Lamp::Boxed(around, position) => {
                 let Some(sides) = around.facing(place.p) else { return 1.0 };
+                let own = &self.list[*position as usize];
+                let share = (own.end - self.start(*position as usize)) * self.density_of(*position, place);
                 share * sides.density(place.p, ray.direction)
             }
         };
@@ -257,13 +297,20 @@ impl Emitters {
         at: [f64; 2],
         work: &mut LightWork,
     ) -> Vec3 {
-        let target = at[0] * self.total();
-        let i = self.list.partition_point(|emitter| emitter.end <= target).min(self.list.len() - 1);
-        let emitter = &self.list[i];
-        let start = if i == 0 { 0.0 } else { self.list[i - 1].end };
-        let along = ((target - start) / (emitter.end - start)).clamp(0.0, 1.0);
-        if let Lamp::Boxed(around, share) = &self.lamps[emitter.instance as usize] {
-            return light_of_object(traced, place, emitter.instance, (around, *share), [along, at[1]], work);
+        let Some((leaf, probability, within)) = self.tree.draw(place.p, place.normal.as_dvec3(), at[0]) else {
+            return Vec3::ZERO;
+        };
+        let density = self.density(&leaf, probability);
+        let (start, end) = (self.start(leaf.start), self.list[leaf.end - 1].end);
+        let target = start + within * (end - start);
+        let own = &self.list[leaf.clone()];
+        let i = leaf.start + own.partition_point(|emitter| emitter.end <= target).min(own.len() - 1);
+        let (emitter, start) = (&self.list[i], self.start(i));
+        let power = emitter.end - start;
+        let along = ((target - start) / power).clamp(0.0, 1.0);
+        if let Lamp::Boxed(around, _) = &self.lamps[emitter.instance as usize] {
+            let share = power * density;
+            return light_of_object(traced, place, emitter.instance, (around, share), [along, at[1]], work);
         }
         let u = along.sqrt();
         let weights = [1.0 - u, u * (1.0 - at[1]), u * at[1]];
@@ -295,7 +342,7 @@ impl Emitters {
         if !is_visible || opacity < LEAST_OPACITY {
             return Vec3::ZERO;
         }
-        let per_area = brightness(face.material()) / self.total();
+        let per_area = brightness(face.material()) * density;
         face.emission(|| 0.0) * balance(arrives, per_area * t * t / cosine)
     }
 }
@@ -337,18 +384,47 @@ fn emissive_mesh<'a>(scene: &Scene, instance: &'a Instance) -> Option<&'a Triang
     instance.casting_triangles().filter(|_| emits)
 }
 
+/// The position on a space-filling curve through a box.
+fn code_in_box(p: DVec3, [lower, upper]: [DVec3; 2]) -> u64 {
+    let cell = (p - lower) * (LAST_CELL / (upper - lower).max(DVec3::splat(f64::MIN_POSITIVE)));
+    // Casting saturates.
+    morton_code(cell.to_array().map(|x| x as u64))
+}
+
 /// The faces in a range that emit light. `end` of each is its own area times brightness.
-fn weights(scene: &Scene, item: usize, faces: Range<usize>) -> Vec<Emitter> {
+fn weights(scene: &Scene, item: usize, faces: Range<usize>) -> Vec<SortedEmitter> {
     let instance = &scene.instances[item];
     let Some(triangles) = instance.triangles.as_deref() else { return Vec::new() };
     let materials = instance.own_materials(&scene.materials);
     let scene_from_tree = instance.tree_from_scene.inverse();
+    let [lower, upper] = triangles.mesh.bounds().map(|corner| triangles.mesh.local_from_world(corner));
     let emitter = |face: usize| {
         let brightness = brightness(&materials[triangles.material[face] as usize]);
-        let end = 0.5 * PlacedFace::new(triangles, face as u32, scene_from_tree).cross.length() * brightness;
-        (end > 0.0 && end.is_finite()).then_some(Emitter { instance: item as u32, face: face as u32, end })
+        let cross = PlacedFace::new(triangles, face as u32, scene_from_tree).cross;
+        let end = 0.5 * cross.length() * brightness;
+        let middle = triangles.mesh.triangle(face as u32).iter().sum::<DVec3>() / 3.0;
+        let octant = cross.to_array().iter().enumerate().fold(0, |bits, (i, x)| bits | u64::from(*x < 0.0) << i);
+        let key = octant << 60 | code_in_box(middle, [lower, upper]);
+        (end > 0.0 && end.is_finite()).then_some((key, Emitter { instance: item as u32, face: face as u32, end }))
     };
     faces.filter_map(emitter).collect()
+}
+
+/// The bounds of an emitter in scene space. `end` of it is its own area times brightness.
+fn bounds(scene: &Scene, lamps: &[Lamp], emitter: &Emitter) -> Bounds {
+    let instance = &scene.instances[emitter.instance as usize];
+    if let Lamp::Boxed(around, _) = &lamps[emitter.instance as usize] {
+        let [a, b, c] = around.edges;
+        let corners = [DVec3::ZERO, a, b, c, a + b, a + c, b + c, a + b + c].map(|corner| around.corner + corner);
+        return Bounds::new(corners, None, false, emitter.end);
+    }
+    // Every other emitter is a face of a mesh.
+    let Some(triangles) = instance.triangles.as_deref() else { return Bounds::new([], None, false, 0.0) };
+    let scene_from_tree = instance.tree_from_scene.inverse();
+    let PlacedFace { corner, edges, cross } = PlacedFace::new(triangles, emitter.face, scene_from_tree);
+    let normal = scene_from_tree.matrix3.determinant().signum() * cross.normalize();
+    let material = &instance.own_materials(&scene.materials)[triangles.material[emitter.face as usize] as usize];
+    Bounds::new([corner, corner + edges[0], corner + edges[1]], Some(normal), material.two_sided, emitter.end)
 }
 
 /// Density of cosine-weighted directions along a ray, per steradian.

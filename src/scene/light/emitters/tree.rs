@@ -1,0 +1,296 @@
+//! A binary tree over emitters. A place draws an emitter from it in proportion to an estimate of its light.
+//!
+//! # Theory
+//!
+//! At each node the place chooses one of the two children in proportion to an estimate of its light: its power, times
+//! bounds of the cosines at the place and at the emitter, divided by the square of the distance (A. Estevez Conty and
+//! C. Kulla, *Importance sampling of many lights with adaptive tree splitting*, 2018). A node is bounded by a ball of
+//! positions and a cone of normals. A child has the probability 0 only if it sends no light.
+//!
+//! One number from 0 to 1 makes all choices: after each choice it is the position within the part of the child. Even
+//! steps of the number therefore spread evenly over the emitters, whose order is spatial.
+
+use glam::DVec3;
+use std::f64::consts::PI;
+
+/// Most emitters of a leaf.
+const LEAF: usize = 16;
+
+/// Number of leaves from which the two halves are made by two threads.
+const PARALLEL: usize = 64;
+
+/// The positions and normals of emitters.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Bounds {
+    lower: DVec3,
+    upper: DVec3,
+    /// The axis of the cone of normals, and the largest angle between a normal and it, radians.
+    axis: DVec3,
+    spread: f64,
+    /// Whether light also leaves against the normals.
+    is_two_sided: bool,
+    power: f64,
+}
+
+impl Bounds {
+    /// An emitter with these corners. Without a normal it emits in all directions.
+    pub(super) fn new(
+        corners: impl IntoIterator<Item = DVec3>,
+        normal: Option<DVec3>,
+        is_two_sided: bool,
+        power: f64,
+    ) -> Self {
+        let nothing = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        let (lower, upper) = corners.into_iter().fold(nothing, |(lower, upper), p| (lower.min(p), upper.max(p)));
+        let (axis, spread) = normal.map_or((DVec3::Z, PI), |normal| (normal, 0.0));
+        Self { lower, upper, axis, spread, is_two_sided, power }
+    }
+
+    fn union(&self, other: &Self) -> Self {
+        let (axis, spread) = union_of_cones((self.axis, self.spread), (other.axis, other.spread));
+        Self {
+            lower: self.lower.min(other.lower),
+            upper: self.upper.max(other.upper),
+            axis,
+            spread,
+            is_two_sided: self.is_two_sided || other.is_two_sided,
+            power: self.power + other.power,
+        }
+    }
+}
+
+/// A cone around two cones, each an axis and an angle from it.
+fn union_of_cones(first: (DVec3, f64), second: (DVec3, f64)) -> (DVec3, f64) {
+    let (wide, narrow) = if first.1 >= second.1 { (first, second) } else { (second, first) };
+    let between = wide.0.dot(narrow.0).clamp(-1.0, 1.0).acos();
+    if between + narrow.1 <= wide.1 {
+        return wide;
+    }
+    let spread = 0.5 * (wide.1 + between + narrow.1);
+    let sine = between.sin();
+    if spread >= PI || sine <= f64::EPSILON.sqrt() {
+        return (wide.0, PI);
+    }
+    // The axis turns from the wider cone to the narrower one.
+    let turn = spread - wide.1;
+    let axis = (wide.0 * (between - turn).sin() + narrow.0 * turn.sin()) / sine;
+    (axis.normalize_or(wide.0), spread)
+}
+
+/// A node with its ball and its cone.
+#[derive(Debug, Clone, Copy, Default)]
+struct Node {
+    center: DVec3,
+    radius: f64,
+    axis: DVec3,
+    /// Cosine and sine of the angle of the cone.
+    spread: [f64; 2],
+    is_two_sided: bool,
+    power: f64,
+}
+
+impl Node {
+    fn new(bounds: &Bounds) -> Self {
+        let (sine, cosine) = bounds.spread.sin_cos();
+        Self {
+            center: 0.5 * (bounds.lower + bounds.upper),
+            radius: 0.5 * bounds.lower.distance(bounds.upper),
+            axis: bounds.axis,
+            spread: [cosine, sine],
+            is_two_sided: bounds.is_two_sided,
+            power: bounds.power,
+        }
+    }
+
+    /// The estimate of the light at a place with a normal: 0 only if it is dark.
+    #[inline]
+    fn light(&self, p: DVec3, normal: DVec3) -> f64 {
+        let to = self.center - p;
+        let squared = to.length_squared();
+        let least = self.radius * self.radius;
+        if squared <= least {
+            return self.power / least.max(f64::MIN_POSITIVE);
+        }
+        let inverse = squared.sqrt().recip();
+        // The sine of the half angle of the ball. The sines of the ball and the cone are added to the cosines: a node
+        // is dark if a sum is negative, since no direction in the ball and no normal in the cone turns by more.
+        let ball = self.radius * inverse;
+        let at_place = (normal.dot(to) * inverse + ball).clamp(0.0, 1.0);
+        let toward = -self.axis.dot(to) * inverse;
+        let toward = if self.is_two_sided { toward.abs() } else { toward };
+        let [cosine, sine] = self.spread;
+        let at_emitter = if cosine <= 0.0 { 1.0 } else { (toward * cosine + sine + ball).clamp(0.0, 1.0) };
+        self.power * at_place * at_emitter / squared
+    }
+}
+
+/// The nodes of a tree over a list of emitters. The first half of the leaves of a node is below its first child.
+#[derive(Debug, Default)]
+pub(super) struct EmitterTree {
+    /// In preorder: a node, the nodes below its first child, the nodes below its second child.
+    nodes: Vec<Node>,
+    count: usize,
+}
+
+/// A node on the way to a leaf: its index, its first leaf and the number of its leaves.
+#[derive(Clone, Copy)]
+struct Position {
+    node: usize,
+    first: usize,
+    leaves: usize,
+}
+
+impl Position {
+    fn children(self) -> [Self; 2] {
+        let left = self.leaves / 2;
+        [
+            Self { node: self.node + 1, first: self.first, leaves: left },
+            Self { node: self.node + 2 * left, first: self.first + left, leaves: self.leaves - left },
+        ]
+    }
+}
+
+impl EmitterTree {
+    /// `bounds` computes the bounds of the emitter with an index below `count`.
+    pub(super) fn new(count: usize, bounds: impl Fn(usize) -> Bounds + Sync) -> Self {
+        let leaves = count.div_ceil(LEAF);
+        let mut nodes = vec![Node::default(); (2 * leaves).saturating_sub(1)];
+        if leaves > 0 {
+            fill(&mut nodes, 0, leaves, count, &bounds);
+        }
+        Self { nodes, count }
+    }
+
+    /// Memory of a tree over emitters, bytes.
+    pub(super) fn bytes(count: usize) -> usize {
+        2 * count.div_ceil(LEAF) * size_of::<Node>()
+    }
+
+    /// The shares of both children in the light at a place; None if both are dark.
+    fn share(&self, [first, second]: [Position; 2], p: DVec3, normal: DVec3) -> Option<f64> {
+        let [first, second] = [first, second].map(|child| self.nodes[child.node].light(p, normal));
+        let total = first + second;
+        (total > 0.0 && total.is_finite()).then(|| first / total)
+    }
+
+    /// The emitters of a leaf, the probability to draw the leaf, and the position within it, from 0 to 1. `at`, from 0
+    /// to 1, draws it. None if all emitters are dark.
+    pub(super) fn draw(&self, p: DVec3, normal: DVec3, mut at: f64) -> Option<(std::ops::Range<usize>, f64, f64)> {
+        let mut position = self.root();
+        let mut probability = 1.0;
+        while position.leaves > 1 {
+            let children = position.children();
+            let share = self.share(children, p, normal)?;
+            if at < share {
+                (position, probability, at) = (children[0], probability * share, at / share);
+            } else {
+                let rest = 1.0 - share;
+                (position, probability, at) = (children[1], probability * rest, (at - share) / rest);
+            }
+        }
+        (probability > 0.0).then(|| (self.emitters_of(position), probability, at.clamp(0.0, 1.0)))
+    }
+
+    /// The emitters of the leaf of an emitter, and the probability to draw the leaf.
+    pub(super) fn leaf_of(&self, emitter: usize, p: DVec3, normal: DVec3) -> (std::ops::Range<usize>, f64) {
+        let mut position = self.root();
+        let mut probability = 1.0;
+        while position.leaves > 1 {
+            let children = position.children();
+            let is_second = emitter / LEAF >= children[1].first;
+            let share = self.share(children, p, normal).unwrap_or(0.0);
+            position = children[usize::from(is_second)];
+            probability *= if is_second { 1.0 - share } else { share };
+        }
+        (self.emitters_of(position), probability)
+    }
+
+    fn root(&self) -> Position {
+        Position { node: 0, first: 0, leaves: self.count.div_ceil(LEAF) }
+    }
+
+    fn emitters_of(&self, leaf: Position) -> std::ops::Range<usize> {
+        leaf.first * LEAF..((leaf.first + 1) * LEAF).min(self.count)
+    }
+}
+
+/// Computes the nodes over some leaves; returns the bounds of the first one.
+fn fill(
+    nodes: &mut [Node],
+    first: usize,
+    leaves: usize,
+    count: usize,
+    bounds: &(impl Fn(usize) -> Bounds + Sync),
+) -> Bounds {
+    let own = if leaves == 1 {
+        let rest = (first * LEAF + 1..((first + 1) * LEAF).min(count)).map(bounds);
+        rest.fold(bounds(first * LEAF), |all, one| all.union(&one))
+    } else {
+        let left = leaves / 2;
+        let (lower, upper) = nodes[1..].split_at_mut(2 * left - 1);
+        let mut halves =
+            (|| fill(lower, first, left, count, bounds), || fill(upper, first + left, leaves - left, count, bounds));
+        let (a, b) = if leaves >= PARALLEL { rayon::join(halves.0, halves.1) } else { ((halves.0)(), (halves.1)()) };
+        a.union(&b)
+    };
+    nodes[0] = Node::new(&own);
+    own
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Points of a ball with outward normals, in order around it.
+    fn ball(i: usize) -> (DVec3, DVec3) {
+        let z = 1.0 - 2.0 * (i as f64 + 0.5) / 100.0;
+        let (y, x) = (i as f64 * crate::geometry::GOLDEN_ANGLE).sin_cos();
+        let normal = DVec3::new(x * (1.0 - z * z).sqrt(), y * (1.0 - z * z).sqrt(), z);
+        (0.5 * normal, normal)
+    }
+
+    #[test]
+    fn every_lit_emitter_is_drawn_with_the_probability_of_its_leaf() {
+        let tree = EmitterTree::new(100, |i| Bounds::new([ball(i).0], Some(ball(i).1), false, 1.0 + i as f64));
+        for (p, normal) in [
+            (DVec3::new(0.0, 0.0, 3.0), DVec3::NEG_Z),
+            (DVec3::new(2.0, 0.4, -1.0), DVec3::NEG_X),
+            (DVec3::new(0.0, 0.6, 0.0), DVec3::new(0.6, -0.8, 0.0)),
+        ] {
+            let mut drawn = [0; 100];
+            let steps = 100_000;
+            for step in 0..steps {
+                let at = (f64::from(step) + 0.5) / f64::from(steps);
+                let (emitters, probability, within) = tree.draw(p, normal, at).unwrap();
+                assert!((0.0..=1.0).contains(&within));
+                assert_eq!((emitters.clone(), probability), tree.leaf_of(emitters.start, p, normal));
+                drawn[emitters.start] += 1;
+            }
+            for i in 0..100 {
+                let (leaf, probability) = tree.leaf_of(i, p, normal);
+                let share = f64::from(drawn[leaf.start]) / f64::from(steps);
+                assert!((share - probability).abs() <= 1e-4, "{i}: {share} {probability}");
+                let (place, facing) = ball(i);
+                let to = place - p;
+                if normal.dot(to) > 0.0 && facing.dot(to) < 0.0 {
+                    assert!(probability > 0.0, "{i} is lit");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_cone_around_two_cones_contains_both() {
+        let turned = |angle: f64| DVec3::new(angle.cos(), angle.sin(), 0.0);
+        for (first, second) in [((0.0, 0.2), (1.0, 0.1)), ((0.0, 0.0), (2.5, 0.4)), ((0.3, 1.0), (0.4, 0.1))] {
+            let (axis, spread) = union_of_cones((turned(first.0), first.1), (turned(second.0), second.1));
+            for (angle, width) in [first, second] {
+                for side in [angle - width, angle + width] {
+                    assert!(axis.angle_between(turned(side)) <= spread + 1e-12);
+                }
+            }
+            assert!(spread <= 0.5 * (first.1 + second.1 + (first.0 - second.0).abs()) + first.1.max(second.1) + 1e-12);
+        }
+        assert!(union_of_cones((DVec3::X, 0.1), (DVec3::NEG_X, 0.1)).1 >= PI);
+    }
+}
