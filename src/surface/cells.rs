@@ -15,6 +15,7 @@ use crate::progress::Progress;
 use crate::volume::sparse::{BRICK_CELLS, SparseView};
 use crate::volume::{FieldView, Texel, Trilinear};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// A cell that the surface passes through.
 #[derive(Debug, Clone, Copy)]
@@ -50,6 +51,11 @@ impl SurfaceCell {
     /// Sets of edges, one for each patch.
     pub(crate) fn patches(&self) -> impl Iterator<Item = u16> + use<> {
         patches(self.inside, self.joined).iter().copied().take_while(|&patch| patch != 0)
+    }
+
+    /// The indices of its patches among all patches.
+    pub(crate) fn patch_ids(&self) -> Range<u32> {
+        self.first_patch..self.first_patch + self.patches().count() as u32
     }
 
     /// Whether the edge from the lower corner along an axis is crossed.
@@ -287,6 +293,14 @@ impl SurfaceCells {
     /// The cell of a patch.
     pub(crate) fn of_patch(&self, patch: u32) -> &SurfaceCell {
         &self.cells[self.cells.partition_point(|cell| cell.first_patch <= patch) - 1]
+    }
+
+    /// The cells of some patches, each once, in order.
+    pub(crate) fn of_patches(&self, patches: impl IntoIterator<Item = u32>) -> Vec<&SurfaceCell> {
+        let mut cells: Vec<&SurfaceCell> = patches.into_iter().map(|patch| self.of_patch(patch)).collect();
+        cells.sort_unstable_by_key(|cell| cell.first_patch);
+        cells.dedup_by_key(|cell| cell.first_patch);
+        cells
     }
 
     /// The cell from whose lower corner a crossed edge starts, and its axis.

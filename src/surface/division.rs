@@ -109,11 +109,8 @@ impl LevelSurface {
         extra: &ExtraPlanes,
         is_sharp: bool,
     ) -> Vec<u32> {
-        let mut cells: Vec<&SurfaceCell> = patches.iter().map(|&patch| self.cells.of_patch(patch)).collect();
-        cells.sort_unstable_by_key(|cell| cell.first_patch);
-        cells.dedup_by_key(|cell| cell.first_patch);
-        let patches_of = |cell: &SurfaceCell| cell.first_patch..cell.first_patch + cell.patches().count() as u32;
-        let added: Vec<u32> = cells.iter().flat_map(|cell| patches_of(cell)).collect();
+        let cells = self.cells.of_patches(patches.iter().copied());
+        let added: Vec<u32> = cells.iter().flat_map(|cell| cell.patch_ids()).collect();
         division.add(&added, self.cells.patch_count());
         for &id in &added {
             for &edge in self.links.edges_of(id) {
@@ -128,7 +125,7 @@ impl LevelSurface {
             }
         }
         for cell in cells {
-            for id in patches_of(cell) {
+            for id in cell.patch_ids() {
                 let corner = self.world(cell.index, DVec3::ZERO);
                 let [lower, upper] = self.region(cell, 0);
                 if !is_within(vertices[id as usize] - corner, [lower, upper]) {
@@ -137,8 +134,8 @@ impl LevelSurface {
                     vertices[id as usize] = self.apart_from_first(cell, id, place);
                 }
             }
-            if patches_of(cell).len() > 1 {
-                self.separate_fans(patches_of(cell), division, vertices, crossings);
+            if cell.patch_ids().len() > 1 {
+                self.separate_fans(cell.patch_ids(), division, vertices, crossings);
             }
         }
         added

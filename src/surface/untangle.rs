@@ -23,7 +23,7 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
-/// Number of cells or quadrilaterals between two checks of the progress.
+/// Number of cells or quadrilaterals that one task processes.
 const CHUNK: usize = 1 << 10;
 
 /// Number of blocks of cells that one task compares.
@@ -113,20 +113,16 @@ impl Tangle<'_> {
             self.surface.cells.cells().iter().collect()
         } else {
             let patches = changed.iter().flat_map(|&edge| self.surface.links.patches_around(edge));
-            let mut cells: Vec<_> = patches.map(|patch| self.surface.cells.of_patch(patch)).collect();
-            cells.sort_unstable_by_key(|cell| cell.first_patch);
-            cells.dedup_by_key(|cell| cell.first_patch);
-            cells
+            self.surface.cells.of_patches(patches)
         };
-        let patches_of = |cell: &SurfaceCell| cell.first_patch..cell.first_patch + cell.patches().count() as u32;
         let mut is_star = vec![false; self.surface.cells.patch_count()];
-        let stars = cells.par_iter().with_min_len(CHUNK).flat_map_iter(|cell| patches_of(cell));
+        let stars = cells.par_iter().with_min_len(CHUNK).flat_map_iter(|cell| cell.patch_ids());
         let stars: Vec<u32> = stars.filter(|&patch| self.is_star(patch)).collect();
         stars.into_iter().for_each(|patch| is_star[patch as usize] = true);
         let in_cells = cells.par_chunks(CHUNK).map(|cells| {
             let (mut found, mut triangles) = (Vec::new(), Vec::new());
             for cell in cells {
-                let patches = patches_of(cell);
+                let patches = cell.patch_ids();
                 let first = cell.first_patch;
                 let is_known = patches.len() == 1 && (is_star[first as usize] || self.division.contains(first));
                 if !is_known {

@@ -195,6 +195,9 @@ def test_denoised_light_has_the_mean_of_the_samples_and_a_fraction_of_their_nois
     # Each pixel has paths of its own. The errors of common paths would have a correlation of nearly 1.
     off = errors[0] - errors[0].mean()
     assert abs((off[:, 1:] * off[:, :-1]).mean()) <= 0.5 * off.var()
+    # Light with little noise is not made worse.
+    precise, filtered = (lit_floor(lamp, 256, denoise=denoise) / truth - 1 for denoise in (False, True))
+    assert filtered.std() <= precise.std() <= errors[0].std() / 3
 
 
 def test_denoised_light_keeps_the_edge_of_a_shadow():

@@ -33,7 +33,7 @@ use rayon::prelude::*;
 const SUMS: u32 = 5;
 /// Weights of the five pixels of a row or column: a cubic B-spline.
 const SPLINE: [f32; 3] = [3.0 / 8.0, 1.0 / 4.0, 1.0 / 16.0];
-/// Relative error of light that is precise enough: less than half a step of an 8-bit sRGB value.
+/// Relative error of light that is precise enough. One step of an 8-bit sRGB value at white is 0.9 %.
 const PRECISE: f32 = 1.0 / 128.0;
 /// Smallest level of light to which the noise is relative, in units of the smallest level for differences.
 const DARK: f32 = 1.0 / 16.0;
@@ -258,5 +258,41 @@ impl LinearFit {
         let value = self.right[0] * shares.x + self.right[1] * shares.y + self.right[2] * shares.z;
         // A function through pixels on one side may leave their range.
         (value.clamp(self.lower, self.upper), 1.0 / shares.dot(self.squares * shares))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fit_to_pixels_on_one_side_is_the_linear_function_at_the_centre() {
+        let value = |offset: Vec2| Vec3::new(2.0, 3.0, 5.0) + Vec3::new(0.1, -0.2, 0.3) * offset.x + 0.2 * offset.y;
+        let (mut fit, mut mean) = (LinearFit::new(), Vec3::ZERO);
+        for i in 0..15 {
+            let offset = Vec2::new((i % 3) as f32, (i / 3) as f32 - 2.0);
+            fit.add(offset, 1.0, 1.0, value(offset));
+            mean += value(offset) / 15.0;
+        }
+        let (found, count) = fit.at_center();
+        // The pull leaves a part of the error of the mean: of the slope along x, whose variance is 2/3.
+        let left = SLOPE_PULL / (2.0 / 3.0 + SLOPE_PULL);
+        assert!((found - value(Vec2::ZERO)).abs().max_element() <= 2.0 * left * 0.3);
+        assert!(
+            (found - value(Vec2::ZERO)).abs().max_element() <= 0.1 * (mean - value(Vec2::ZERO)).abs().max_element()
+        );
+        // The variance at an end of three equal steps is 1/3 + 1/2, and there are five rows of them.
+        let expected = 5.0 / (1.0 / 3.0 + 1.0 / 2.0);
+        assert!((count / expected - 1.0).abs() <= 0.1, "{count}");
+    }
+
+    #[test]
+    fn a_fit_has_the_precision_of_all_pixels_around() {
+        let mut fit = LinearFit::new();
+        for i in 0..25 {
+            fit.add(Vec2::new((i % 5) as f32 - 2.0, (i / 5) as f32 - 2.0), 1.0, 2.0, Vec3::splat((i % 2) as f32));
+        }
+        let (found, count) = fit.at_center();
+        assert!((found.x - 12.0 / 25.0).abs() <= 1e-6 && (count - 50.0).abs() <= 1e-3);
     }
 }

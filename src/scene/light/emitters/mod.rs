@@ -3,12 +3,11 @@
 //! # Theory
 //!
 //! A face of an emissive mesh is drawn in proportion to an estimate of its light at the place ([`tree`]), and a point
-//! on it at random. A shape, a volume or a
-//! quadric has no faces. Its surface lies in a box, so points on the sides of that box are drawn instead, and the
-//! object emits where the ray through the point hits it. From a place outside, at most three sides face the place, and
-//! each ray into the box enters through one of them. Seen from the place at the distance `d` from its centre, a side of
-//! the area `A` covers about `A cos / d^2`, so the sides are selected in proportion to that. The density per steradian
-//! of a direction that enters through side `k` at the distance `t` is
+//! on it at random. A shape, a volume or a quadric has no faces. Its surface lies in a box, so points on the sides of
+//! that box are drawn instead, and the object emits where the ray through the point hits it. From a place outside, at
+//! most three sides face the place, and each ray into the box enters through one of them. Seen from the place at the
+//! distance `d` from its centre, a side of the area `A` covers about `A cos / d^2`, so the sides are selected in
+//! proportion to that. The density per steradian of a direction that enters through side `k` at the distance `t` is
 //!
 //! ```text
 //!   p_k t^2 / (A_k cos)
@@ -34,7 +33,7 @@ use glam::{DAffine3, DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 use std::f64::consts::PI;
 use std::ops::Range;
-use tree::{Bounds, EmitterTree};
+use tree::{Bounds, EmitterTree, LEAF};
 
 mod tree;
 
@@ -52,7 +51,7 @@ struct Emitter {
     instance: u32,
     /// [`WHOLE`] for an object without faces.
     face: u32,
-    /// Sum of area times brightness of this emitter and all before it, scene units.
+    /// Sum of area times brightness of this emitter and those before it in its leaf of the tree, scene units.
     end: f64,
 }
 
@@ -226,11 +225,13 @@ impl Emitters {
                 list.push(Emitter { instance: item as u32, face: WHOLE, end });
             }
         }
-        let tree = EmitterTree::new(list.len(), |i| bounds(scene, &lamps, &list[i]));
-        let mut sum = 0.0;
-        for emitter in &mut list {
-            sum += emitter.end;
-            emitter.end = sum;
+        let tree = EmitterTree::new(list.len(), |i| bounds(scene, &lamps, &list[i]), progress)?;
+        for leaf in list.chunks_mut(LEAF) {
+            let mut sum = 0.0;
+            for emitter in leaf {
+                sum += emitter.end;
+                emitter.end = sum;
+            }
         }
         Ok(Self { list, tree, lamps })
     }
@@ -239,14 +240,14 @@ impl Emitters {
         self.list.is_empty()
     }
 
-    /// The sum of area times brightness of all emitters before one.
+    /// The sum of area times brightness of the emitters before one in its leaf.
     fn start(&self, emitter: usize) -> f64 {
-        if emitter == 0 { 0.0 } else { self.list[emitter - 1].end }
+        if emitter.is_multiple_of(LEAF) { 0.0 } else { self.list[emitter - 1].end }
     }
 
     /// The probability to draw an emitter of a leaf, divided by its area times brightness. The leaf has a probability.
     fn density(&self, leaf: &Range<usize>, probability: f64) -> f64 {
-        probability / (self.list[leaf.end - 1].end - self.start(leaf.start))
+        probability / self.list[leaf.end - 1].end
     }
 
     /// The probability that a place draws the emitter at a position in the list, divided by its area times brightness.
@@ -301,12 +302,15 @@ impl Emitters {
             return Vec3::ZERO;
         };
         let density = self.density(&leaf, probability);
-        let (start, end) = (self.start(leaf.start), self.list[leaf.end - 1].end);
-        let target = start + within * (end - start);
+        let target = within * self.list[leaf.end - 1].end;
         let own = &self.list[leaf.clone()];
         let i = leaf.start + own.partition_point(|emitter| emitter.end <= target).min(own.len() - 1);
         let (emitter, start) = (&self.list[i], self.start(i));
         let power = emitter.end - start;
+        // Beside a much brighter emitter the sum does not grow.
+        if power <= 0.0 {
+            return Vec3::ZERO;
+        }
         let along = ((target - start) / power).clamp(0.0, 1.0);
         if let Lamp::Boxed(around, _) = &self.lamps[emitter.instance as usize] {
             let share = power * density;

@@ -10,11 +10,14 @@
 //! One number from 0 to 1 makes all choices: after each choice it is the position within the part of the child. Even
 //! steps of the number therefore spread evenly over the emitters, whose order is spatial.
 
+use crate::error::Error;
+use crate::progress::Progress;
 use glam::DVec3;
 use std::f64::consts::PI;
+use std::ops::Range;
 
 /// Most emitters of a leaf.
-const LEAF: usize = 16;
+pub(super) const LEAF: usize = 16;
 
 /// Number of leaves from which the two halves are made by two threads.
 const PARALLEL: usize = 64;
@@ -152,13 +155,17 @@ impl Position {
 
 impl EmitterTree {
     /// `bounds` computes the bounds of the emitter with an index below `count`.
-    pub(super) fn new(count: usize, bounds: impl Fn(usize) -> Bounds + Sync) -> Self {
+    pub(super) fn new(
+        count: usize,
+        bounds: impl Fn(usize) -> Bounds + Sync,
+        progress: &Progress,
+    ) -> Result<Self, Error> {
         let leaves = count.div_ceil(LEAF);
         let mut nodes = vec![Node::default(); (2 * leaves).saturating_sub(1)];
         if leaves > 0 {
-            fill(&mut nodes, 0, leaves, count, &bounds);
+            fill(&mut nodes, 0, leaves, count, &bounds, progress)?;
         }
-        Self { nodes, count }
+        Ok(Self { nodes, count })
     }
 
     /// Memory of a tree over emitters, bytes.
@@ -175,7 +182,7 @@ impl EmitterTree {
 
     /// The emitters of a leaf, the probability to draw the leaf, and the position within it, from 0 to 1. `at`, from 0
     /// to 1, draws it. None if all emitters are dark.
-    pub(super) fn draw(&self, p: DVec3, normal: DVec3, mut at: f64) -> Option<(std::ops::Range<usize>, f64, f64)> {
+    pub(super) fn draw(&self, p: DVec3, normal: DVec3, mut at: f64) -> Option<(Range<usize>, f64, f64)> {
         let mut position = self.root();
         let mut probability = 1.0;
         while position.leaves > 1 {
@@ -192,7 +199,7 @@ impl EmitterTree {
     }
 
     /// The emitters of the leaf of an emitter, and the probability to draw the leaf.
-    pub(super) fn leaf_of(&self, emitter: usize, p: DVec3, normal: DVec3) -> (std::ops::Range<usize>, f64) {
+    pub(super) fn leaf_of(&self, emitter: usize, p: DVec3, normal: DVec3) -> (Range<usize>, f64) {
         let mut position = self.root();
         let mut probability = 1.0;
         while position.leaves > 1 {
@@ -209,7 +216,7 @@ impl EmitterTree {
         Position { node: 0, first: 0, leaves: self.count.div_ceil(LEAF) }
     }
 
-    fn emitters_of(&self, leaf: Position) -> std::ops::Range<usize> {
+    fn emitters_of(&self, leaf: Position) -> Range<usize> {
         leaf.first * LEAF..((leaf.first + 1) * LEAF).min(self.count)
     }
 }
@@ -221,20 +228,26 @@ fn fill(
     leaves: usize,
     count: usize,
     bounds: &(impl Fn(usize) -> Bounds + Sync),
-) -> Bounds {
+    progress: &Progress,
+) -> Result<Bounds, Error> {
     let own = if leaves == 1 {
         let rest = (first * LEAF + 1..((first + 1) * LEAF).min(count)).map(bounds);
         rest.fold(bounds(first * LEAF), |all, one| all.union(&one))
     } else {
         let left = leaves / 2;
         let (lower, upper) = nodes[1..].split_at_mut(2 * left - 1);
-        let mut halves =
-            (|| fill(lower, first, left, count, bounds), || fill(upper, first + left, leaves - left, count, bounds));
-        let (a, b) = if leaves >= PARALLEL { rayon::join(halves.0, halves.1) } else { ((halves.0)(), (halves.1)()) };
-        a.union(&b)
+        let mut first_half = || fill(lower, first, left, count, bounds, progress);
+        let mut second_half = || fill(upper, first + left, leaves - left, count, bounds, progress);
+        let (a, b) = if leaves >= PARALLEL {
+            progress.check()?;
+            rayon::join(first_half, second_half)
+        } else {
+            (first_half(), second_half())
+        };
+        a?.union(&b?)
     };
     nodes[0] = Node::new(&own);
-    own
+    Ok(own)
 }
 
 #[cfg(test)]
@@ -251,7 +264,12 @@ mod tests {
 
     #[test]
     fn every_lit_emitter_is_drawn_with_the_probability_of_its_leaf() {
-        let tree = EmitterTree::new(100, |i| Bounds::new([ball(i).0], Some(ball(i).1), false, 1.0 + i as f64));
+        let tree = EmitterTree::new(
+            100,
+            |i| Bounds::new([ball(i).0], Some(ball(i).1), false, 1.0 + i as f64),
+            &Progress::new(),
+        )
+        .unwrap();
         for (p, normal) in [
             (DVec3::new(0.0, 0.0, 3.0), DVec3::NEG_Z),
             (DVec3::new(2.0, 0.4, -1.0), DVec3::NEG_X),
