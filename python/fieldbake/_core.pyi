@@ -66,7 +66,6 @@ __all__ = [
     "orient",
     "query",
     "raymarch",
-    "raymarch_nested",
     "read_obj",
     "refined",
     "require_memory",
@@ -887,7 +886,7 @@ def offset_polygons(polygons: list[NDArray[np.float64]], distance: float) -> lis
     """The points within a distance of a region."""
 
 def raymarch(
-    distances: NDArray[Any] | DeviceField | SparseField,
+    distances: NDArray[Any] | SparseField,
     lower: tuple[float, float, float],
     upper: tuple[float, float, float],
     picture: dict[str, Any],
@@ -896,8 +895,8 @@ def raymarch(
     scale: float = 1.0,
     device: str = "auto",
     progress: Callable[[float], object] | None = None,
-) -> dict[str, Any]:
-    """Draw the zero level set.
+) -> dict[str, Any] | None:
+    """Draw the zero level set on the CPU. None if ``device`` is a graphics device and ``filter`` is "linear".
 
     ``picture`` must have all of these keys: ``pose`` (4, 4) world from camera, with the viewing axis -Z; ``fov_deg``;
     ``height`` of the picture in world units for parallel rays, or None; ``size`` (width, height); ``lights``, at
@@ -907,17 +906,6 @@ def raymarch(
     The result has these keys: ``color`` (h, w, 4) linear RGBA; ``depth`` (h, w) along the viewing axis, inf without a
     hit; ``normal`` (h, w, 3); ``object_id`` (h, w) int32, -1 without a hit; ``shadow`` (h, w) or (h, w, k); ``steps``
     (h, w) uint32; ``device``; ``seconds``.
-    """
-
-def raymarch_nested(
-    levels: list[tuple[NDArray[np.float32], tuple[float, float, float], tuple[float, float, float]]],
-    picture: dict[str, Any],
-    *,
-    device: str = "auto",
-    progress: Callable[[float], object] | None = None,
-) -> dict[str, Any] | None:
-    """Draw nested fields on a graphics device: distances, lower and upper corner of each, finest first; picture and
-    result as for :func:`raymarch`. None if ``device`` is the CPU.
     """
 
 @final

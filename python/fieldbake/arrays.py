@@ -20,8 +20,7 @@ from .base.checks import DistanceType
 from .base.errors import ArgumentError
 from .base.grid import MAX_SIDE
 from .base.report import Report
-from .drawing.options import checked_size
-from .drawing.raymarching import picture_arguments
+from .drawing.raymarching import raymarch as draw
 from .meshes.input_arrays import check_faces, check_vertices
 from .queries.common import Sign
 from .scenes.camera import Camera
@@ -195,15 +194,10 @@ def raymarch(
     >>> round(float(depth[32, 32]), 2)
     3.0
     """
-    corners = _box(lower, upper)
-    camera = Camera.from_pose(pose, fov_deg)
-    result = _core.raymarch(
-        check_distances(distances),
-        *corners,
-        picture_arguments(camera, checked_size(size)),
-        device=checks.text("device", device),
-    )
-    return result["color"], result["depth"]
+    box = np.array(_box(lower, upper))
+    volume = Volume._wrap(check_distances(distances)[...], box, box.copy(), Report())
+    frame = draw(volume, Camera.from_pose(pose, fov_deg), size=size, device=device)
+    return frame.color, frame.depth
 
 
 def _box(lower: ArrayLike, upper: ArrayLike) -> tuple[tuple[float, float, float], tuple[float, float, float]]:

@@ -174,17 +174,6 @@ wgsl_constants! {
     clip {
         FAR_T: f32 as f32 = FAR_ALONG_RAY;
     }
-    ray {
-        PARALLEL: f32 as f32 = PARALLEL_DIRECTION;
-    }
-    raymarch_nearest {
-        PARALLEL: f32 as f32 = PARALLEL_DIRECTION;
-    }
-    ray_sparse {
-        PARALLEL: f32 as f32 = PARALLEL_DIRECTION;
-        /// Largest number of steps of a ray. Grids in which a ray may visit more cells are refused.
-        MAX_STEPS: usize as u32 = 16384;
-    }
     cubic {
         /// Largest number of Newton steps. Every second step at least halves the bracket, and 24 halvings exhaust an
         /// f32.

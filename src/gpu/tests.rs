@@ -2,8 +2,9 @@
 
 use super::context::{Context, check_adapter};
 use super::device::{Place, choose};
-use super::shader::{KERNELS, source_instead};
+use super::shader::{KERNELS, shared, source_instead};
 use crate::csg::evaluation::leaf::kernel_texts;
+use crate::encoding::Encoding;
 use crate::error::{DeviceError, Error};
 use crate::progress::Progress;
 use std::sync::Arc;
@@ -133,4 +134,41 @@ fn a_lost_device_is_an_error_and_the_next_one_works() {
     let mut back = [0u32; 16];
     second.read("items", &buffer, &mut back, &Progress::new()).unwrap();
     assert_eq!(back, [7; 16]);
+}
+
+#[test]
+fn a_device_decodes_every_stored_number_as_the_core_does() {
+    let Some(context) = test_context() else { return };
+    for encoding in [Encoding::Float16, Encoding::Snorm16, Encoding::Snorm8] {
+        let scale = 0.3;
+        let text = format!(
+            "{}
+            @group(0) @binding(1) var<storage, read> stored: array<u32>;
+            @group(0) @binding(2) var<storage, read_write> decoded: array<f32>;
+            @compute @workgroup_size(64) fn main(@builtin(global_invocation_id) id: vec3u) {{
+                let encoding = {}u;
+                decoded[id.x] = decode_sample(stored[word_of(id.x, encoding)], id.x, encoding, {scale});
+            }}",
+            shared("decode").unwrap(),
+            encoding as u32
+        );
+        let kernel = context.compile("decode", "main", &text).unwrap();
+        let stored: Vec<u32> = (0..1u32 << (8 * encoding.bytes()))
+            // Infinities and NaN are refused earlier.
+            .map(|bits| if encoding == Encoding::Float16 && bits & 0x7c00 == 0x7c00 { 0 } else { bits })
+            .collect();
+        let bytes: Vec<u8> = stored.iter().flat_map(|bits| bits.to_le_bytes()[..encoding.bytes()].to_vec()).collect();
+        let words = context.upload_bytes("stored", &bytes).unwrap();
+        let decoded = context.storage("decoded", 4 * stored.len() as u64).unwrap();
+        let group = context.bind("decode", &kernel, &[(1, &words), (2, &decoded)]).unwrap();
+        context.dispatch("decode", &kernel, &group, [stored.len() as u32 / 64, 1, 1]).unwrap();
+        let mut values = vec![0.0f32; stored.len()];
+        context.read("decoded", &decoded, &mut values, &Progress::new()).unwrap();
+        for (bits, value) in stored.into_iter().zip(values) {
+            let expected = encoding.decode(bits, scale);
+            // Halves are decoded by shifts alone. The others have a quotient within 2.5 ulp (WGSL) and a product.
+            let allowed = if encoding == Encoding::Float16 { 0.0 } else { 3.5 * f32::EPSILON * expected.abs() };
+            assert!((value - expected).abs() <= allowed, "{encoding:?} {bits:x}: {value}, expected {expected}");
+        }
+    }
 }

@@ -2,7 +2,6 @@
 //!
 //! The field of the nearest samples is constant in each voxel, so the solid is a union of voxels. The ray visits the
 //! voxels on its way (Amanatides and Woo 1987), and a hit is the face through which it enters a voxel of the solid.
-//! Twin of `shaders/field/raymarch_nearest.wgsl`.
 
 use super::blocks::Blocks;
 use super::marcher::{FieldHit, GridRay, March, MarchLine, Marcher, each_axis, first_axis, floor};

@@ -69,7 +69,7 @@ mod _core {
     #[pymodule_export]
     use super::region::{combined_polygons, offset_polygons, resolved_polygons};
     #[pymodule_export]
-    use super::render::{raymarch, raymarch_nested};
+    use super::render::raymarch;
     #[pymodule_export]
     use super::run::{set_threads, watch};
     #[pymodule_export]

@@ -1,21 +1,22 @@
 //! `fieldbake._core.raymarch`.
 
-use super::convert::{Field, grid, image_array, with_texels};
-use super::device::{DeviceField, choose};
+use super::convert::{Field, image_array, with_texels};
+use super::device::choose;
 use super::error::{Failure, exception};
 use super::light::LightRow;
 use super::run::run;
 use super::sparse::SparseField;
 use crate::gpu::Place;
 use crate::picture::{Camera, Filter, Frame, Light, RaymarchOptions, Shadows};
-use crate::render::{Source, raymarch_at, raymarch_nested as draw_nested, raymarch_view};
+use crate::render::raymarch as draw;
 use glam::Vec3;
-use numpy::{PyReadonlyArray2, PyReadonlyArray3};
+use numpy::PyReadonlyArray2;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::time::Instant;
 
-/// Draws the zero level set of a field.
+/// Draws the zero level set of a field on the CPU; `None` if `device` is a graphics device, unless it cannot draw the
+/// field of the filter.
 #[pyfunction]
 #[pyo3(signature = (distances, lower, upper, picture, *, filter="linear", scale=1.0, device="auto", progress=None))]
 pub(super) fn raymarch<'py>(
@@ -28,54 +29,24 @@ pub(super) fn raymarch<'py>(
     scale: f32,
     device: &str,
     progress: Option<&Bound<'py, PyAny>>,
-) -> PyResult<Bound<'py, PyDict>> {
-    let place = choose(py, device)?;
-    let (camera, options) = picture.read()?;
+) -> PyResult<Option<Bound<'py, PyDict>>> {
     let filter = Filter::from_name(filter).map_err(Failure::from)?;
+    if matches!(choose(py, device)?, Place::Gpu(_)) && filter == Filter::Linear {
+        return Ok(None);
+    }
+    let (camera, options) = picture.read()?;
     let options = RaymarchOptions { filter, ..options };
     let start = Instant::now();
-    let frame = if let Ok(field) = distances.cast::<DeviceField>() {
-        let field = &field.get().0;
-        let grid = grid(lower, upper, field.shape())?;
-        run(py, progress, |progress| raymarch_at(&place, Source::Device(field), &grid, &camera, &options, progress))?
-    } else if let Ok(field) = distances.cast::<SparseField>() {
+    let frame = if let Ok(field) = distances.cast::<SparseField>() {
         let field = field.get();
-        run(py, progress, |progress| field.raymarch(&place, &camera, &options, progress))?
+        run(py, progress, |progress| field.raymarch(&camera, &options, progress))?
     } else {
         with_texels!(distances, PyReadonlyArray3, |array| {
             let field = Field::encoded(&array, lower, upper, scale)?;
-            run(py, progress, |progress| raymarch_view(&place, field.view()?, &camera, &options, progress))?
+            run(py, progress, |progress| draw(field.view()?, &camera, &options, progress))?
         })
     };
-    images_of(py, frame, &place, start)
-}
-
-/// A level of nested fields: distances, and the lower and upper corner of its box.
-type NestedLevel<'py> = (PyReadonlyArray3<'py, f32>, [f64; 3], [f64; 3]);
-
-/// Draws nested fields, finest first, on a graphics device; `None` if `device` is the CPU.
-#[pyfunction]
-#[pyo3(signature = (levels, picture, *, device="auto", progress=None))]
-pub(super) fn raymarch_nested<'py>(
-    py: Python<'py>,
-    levels: Vec<NestedLevel<'py>>,
-    picture: PictureArguments<'py>,
-    device: &str,
-    progress: Option<&Bound<'py, PyAny>>,
-) -> PyResult<Option<Bound<'py, PyDict>>> {
-    let place = choose(py, device)?;
-    let Place::Gpu(context) = &place else { return Ok(None) };
-    let (camera, options) = picture.read()?;
-    let fields: Vec<_> = levels
-        .iter()
-        .map(|(distances, lower, upper)| Field::new(distances, *lower, *upper))
-        .collect::<PyResult<_>>()?;
-    let start = Instant::now();
-    let frame = run(py, progress, |progress| {
-        let views = fields.iter().map(Field::view).collect::<Result<Vec<_>, _>>()?;
-        draw_nested(context, &views, &camera, &options, progress)
-    })?;
-    Ok(Some(images_of(py, frame, &place, start)?))
+    images_of(py, frame, &Place::Cpu, start).map(Some)
 }
 
 /// The arguments of a picture: a mapping, described in `_core.pyi`. The Python layer defines every default.

@@ -9,10 +9,10 @@ use super::run::run;
 use crate::bake::{BakeOptions, bake_cloud_sparse as bake_cloud, bake_sparse as bake};
 use crate::encoding::Encoding;
 use crate::error::Error;
-use crate::gpu::Place;
+use crate::march::bricks::MaskedBricks;
 use crate::picture::{Camera, Frame, RaymarchOptions};
 use crate::progress::Progress;
-use crate::render::raymarch_sparse;
+use crate::render::raymarch;
 use crate::sign::SignMethod;
 use crate::surface::LevelSurface;
 use crate::volume::sparse::build::SparseOptions;
@@ -86,14 +86,8 @@ impl SparseField {
         with_field!(&self.0, |field| LevelSurface::of_sparse(&field.view()?, level, progress))
     }
 
-    pub fn raymarch(
-        &self,
-        place: &Place,
-        camera: &Camera,
-        options: &RaymarchOptions,
-        progress: &Progress,
-    ) -> Result<Frame, Error> {
-        with_field!(&self.0, |field| raymarch_sparse(place, field.view()?, camera, options, progress))
+    pub fn raymarch(&self, camera: &Camera, options: &RaymarchOptions, progress: &Progress) -> Result<Frame, Error> {
+        with_field!(&self.0, |field| raymarch(MaskedBricks::new(field.view()?, progress)?, camera, options, progress))
     }
 }
 

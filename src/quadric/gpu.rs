@@ -19,11 +19,10 @@ use super::{LINEAR_UP_TO, Quadrics};
 use crate::error::{DeviceError, Error};
 use crate::gpu::Context;
 use crate::gpu::constants::quadrics::{HIT, NODE_TEXELS, RECORD_TEXELS, UNFINISHED};
-use crate::gpu::layout::{QuadricParams, QuadricPixel};
+use crate::gpu::layout::{Light, QuadricParams, QuadricPixel};
 use crate::gpu::pace::in_pieces;
-use crate::picture::Frame;
+use crate::picture::{DirectionalLight, Frame};
 use crate::progress::Progress;
-use crate::render::upload_lights;
 use glam::DVec3;
 
 /// Side of a workgroup in pixels, as in the shader.
@@ -104,6 +103,16 @@ pub(super) fn draw(context: &Context, view: &QuadricView<'_>, progress: &Progres
         }
     }
     Ok(frame)
+}
+
+/// Uploads lights in the layout of the kernel. `lights` must have unit directions.
+fn upload_lights(context: &Context, lights: &[DirectionalLight]) -> Result<wgpu::Buffer, DeviceError> {
+    let row = |light: &DirectionalLight| Light {
+        direction: light.direction.to_array(),
+        color: light.color.to_array(),
+        ..Light::default()
+    };
+    context.upload("lights", &lights.iter().map(row).collect::<Vec<_>>())
 }
 
 /// The texture that holds records and boxes.

@@ -1,23 +1,13 @@
-//! Pictures of dense, encoded, sparse and nested fields, on the CPU or on a device.
+//! Pictures of dense, encoded and sparse fields.
 
-use super::gpu;
-use super::gpu_fields::{MarchedField, nested_grid};
 use super::shade::{PixelHit, Shader};
-use crate::encoding::Encoding;
-use crate::error::{ArgumentError, Error};
-use crate::gpu::{Context, Place};
-use crate::grid::Grid;
+use crate::error::Error;
 use crate::march::blocks::Blocks;
-use crate::march::bricks::MaskedBricks;
 use crate::march::marcher::{Marcher, clip_to_box};
 use crate::march::tiles::Tiles;
-use crate::picture::{Camera, Filter, Frame, RaymarchOptions, Row};
+use crate::picture::{Camera, Frame, RaymarchOptions, Row};
 use crate::progress::Progress;
-use crate::volume::device::DeviceField;
-use crate::volume::sparse::SparseView;
-use crate::volume::{FieldView, Texel, Trilinear};
 use glam::{DVec3, Vec3};
-use std::sync::Arc;
 
 /// Draws the zero level set of a field.
 pub fn raymarch<F: Blocks>(
@@ -41,127 +31,6 @@ pub fn raymarch<F: Blocks>(
     };
 
     Frame::by_pixels(options.size, lights.len(), progress, |x, y, row| view.draw_pixel(x, y, row))
-}
-
-/// Location of the samples of a field.
-#[derive(Debug, Clone, Copy)]
-pub enum Source<'a> {
-    /// Samples on the host, x fastest.
-    Host(&'a [f32]),
-    /// Samples in the memory of a device.
-    Device(&'a DeviceField),
-}
-
-/// Draws at a place. Samples that are elsewhere are copied there first.
-pub fn raymarch_at(
-    place: &Place,
-    source: Source<'_>,
-    grid: &Grid,
-    camera: &Camera,
-    options: &RaymarchOptions,
-    progress: &Progress,
-) -> Result<Frame, Error> {
-    let read: Vec<f32>;
-    let samples = match (place, source) {
-        (Place::Gpu(context), Source::Device(field)) if Arc::ptr_eq(context, field.context()) => {
-            return raymarch_on_device(field, grid, camera, options, progress);
-        }
-        (_, Source::Device(field)) => {
-            read = field.read(progress)?;
-            &read
-        }
-        (_, Source::Host(samples)) => samples,
-    };
-    let view = FieldView::new(*grid, samples)?;
-    match place {
-        Place::Cpu => raymarch(view, camera, options, progress),
-        Place::Gpu(context) => {
-            let field = DeviceField::upload(context, grid.shape, view.distances())?;
-            raymarch_on_device(&field, grid, camera, options, progress)
-        }
-    }
-}
-
-/// Draws samples in any encoding at a place. A graphics device decodes them when it reads them if they are interpolated
-/// linearly; otherwise it receives decoded values.
-pub fn raymarch_view<T: Texel>(
-    place: &Place,
-    field: FieldView<'_, T>,
-    camera: &Camera,
-    options: &RaymarchOptions,
-    progress: &Progress,
-) -> Result<Frame, Error> {
-    match place {
-        Place::Cpu => raymarch(field, camera, options, progress),
-        Place::Gpu(context) if options.filter == Filter::Linear && T::ENCODING != Encoding::Float32 => {
-            let upload = || MarchedField::encoded(context, field);
-            draw_on_device(upload, field.grid(), camera, options, progress)
-        }
-        Place::Gpu(_) => {
-            raymarch_at(place, Source::Host(&field.decoded(progress)?), field.grid(), camera, options, progress)
-        }
-    }
-}
-
-/// Draws a sparse field at a place, from its bricks. A graphics device receives the whole grid unless the field is
-/// interpolated linearly.
-pub fn raymarch_sparse<T: Texel>(
-    place: &Place,
-    field: SparseView<'_, T>,
-    camera: &Camera,
-    options: &RaymarchOptions,
-    progress: &Progress,
-) -> Result<Frame, Error> {
-    match place {
-        Place::Cpu => raymarch(MaskedBricks::new(field, progress)?, camera, options, progress),
-        Place::Gpu(context) if options.filter == Filter::Linear => {
-            let upload = || MarchedField::sparse(context, field, progress);
-            draw_on_device(upload, field.grid(), camera, options, progress)
-        }
-        Place::Gpu(_) => {
-            raymarch_at(place, Source::Host(&field.dense(progress)?), field.grid(), camera, options, progress)
-        }
-    }
-}
-
-/// Draws nested fields on a device, finest first. Each is twice as fine as the next, and joined to it as in
-/// `scene::fields::nested`.
-pub fn raymarch_nested(
-    context: &Arc<Context>,
-    levels: &[FieldView<'_>],
-    camera: &Camera,
-    options: &RaymarchOptions,
-    progress: &Progress,
-) -> Result<Frame, Error> {
-    let grid = nested_grid(levels).ok_or_else(|| ArgumentError::new("levels", "are empty"))?;
-    draw_on_device(|| MarchedField::nested(context, levels, &grid), &grid, camera, options, progress)
-}
-
-/// Draws a field in device memory.
-///
-/// The picture equals the picture of [`raymarch`] to float32 rounding with [`Filter::Linear`]. `Frame::steps` counts
-/// cells only, since the device does not leap.
-pub fn raymarch_on_device(
-    field: &DeviceField,
-    grid: &Grid,
-    camera: &Camera,
-    options: &RaymarchOptions,
-    progress: &Progress,
-) -> Result<Frame, Error> {
-    draw_on_device(|| Ok(MarchedField::dense(field, options.filter)?), grid, camera, options, progress)
-}
-
-/// Checks the request, copies the field to its device, and draws it there.
-fn draw_on_device(
-    field: impl FnOnce() -> Result<MarchedField, Error>,
-    grid: &Grid,
-    camera: &Camera,
-    options: &RaymarchOptions,
-    progress: &Progress,
-) -> Result<Frame, Error> {
-    options.check()?;
-    let lights = options.directional_lights()?;
-    gpu::raymarch(&field()?, grid, camera, options, &lights, progress)
 }
 
 /// Data shared by all pixels.

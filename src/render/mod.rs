@@ -1,12 +1,13 @@
-//! Pictures of a stored field: its zero level set, viewed by a camera and lit.
+//! Pictures of a stored field on the CPU: its zero level set, viewed by a camera and lit. A graphics device draws a
+//! field as a scene of one instance ([`crate::scene`]).
 //!
 //! # Theory
 //!
 //! For each pixel, a ray through its centre ([`crate::picture`]) is clipped to the box of the grid and traced to the
 //! first root of the trilinear field ([`crate::march`]), then shaded ([`shade`]). The ray is computed in f64 and
 //! transformed to grid space, where voxel centres are integers and f32 is precise enough at any scale and offset of the
-//! world. Everything after that is f32 with bounded loops, so that a shader can do the same. On the CPU, tiles of
-//! pixels shorten their rays to the depths of the surface ([`crate::march::tiles`]).
+//! world. Everything after that is f32. Tiles of pixels shorten their rays to the depths of the surface
+//! ([`crate::march::tiles`]).
 //!
 //! The picture shows the solid "field <= 0, inside the box". Where the box cuts it, the cut is drawn as a flat face. A
 //! camera inside the solid sees it at depth 0. With [`Filter::Nearest`](crate::picture::Filter::Nearest) the field is
@@ -18,14 +19,9 @@
 //! proportional to the steps in `Frame::steps`, plus about as many for each light.
 
 mod draw;
-mod gpu;
-mod gpu_fields;
-#[cfg(test)]
-mod gpu_tests;
 pub(crate) mod shade;
 
-pub use draw::{Source, raymarch, raymarch_at, raymarch_nested, raymarch_on_device, raymarch_sparse, raymarch_view};
-pub(crate) use gpu::upload_lights;
+pub use draw::raymarch;
 
 #[cfg(test)]
 mod tests;

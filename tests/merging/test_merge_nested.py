@@ -176,12 +176,13 @@ def test_a_device_draws_the_same_picture(levels, eye, fov_deg, gpu):
     assert np.mean(exceeds(np.abs(cpu.color - device.color), 1e-3)) <= 1e-3
 
 
-def test_a_device_refuses_more_voxels_than_rays_can_cross(gpu):
-    long = fb.NestedField([fb.Volume(np.ones((16_400, 1, 1)), [(0, 0, 0), (16_400, 1, 1)])])
-    camera = fb.Camera((0, 0, 5), (0, 0, 0))
-    assert (fb.raymarch(long, camera, size=(8, 8), device="cpu").object_id == -1).all()
-    with pytest.raises(fb.ArgumentError, match=r"device.*16384 voxels.*16402"):
-        fb.raymarch(long, camera, size=(8, 8), device=gpu)
+def test_a_ray_crosses_more_voxels_than_an_invocation_has_steps(device):
+    samples = np.where(np.arange(60_000) % 4 == 2, 0.01, 1.0).reshape(-1, 1, 1)
+    samples[-20:] = -1
+    long = fb.NestedField([fb.Volume(samples, [(0, 0, 0), (60_000, 1, 1)])])
+    frame = fb.raymarch(long, fb.Camera((-1, 0.5, 0.5), (1, 0.5, 0.5), fov_deg=1e-3), size=(4, 4), device=device)
+    # The sample before the last 20 is 1, so the root is halfway between the centres of two voxels.
+    assert frame.depth == pytest.approx(60_001 - 20, abs=0.01)
 
 
 @pytest.mark.parametrize("shadows", ["hard", "soft"])

@@ -39,6 +39,12 @@ def sparse() -> list[fb.Instance]:
     return [fb.Instance(field, PLACE), fb.Instance(field, moved(x=-1.8, z=1, scale=(-0.5, 0.5, 0.6)))]
 
 
+def nested() -> list[fb.Instance]:
+    """Two finer levels around one end of the knot, and a mirrored copy."""
+    field = fb.merge([knot()], 24, levels=3, center=(0.5, 0.2, 0.2))
+    return [fb.Instance(field, PLACE), fb.Instance(field, moved(x=-1.8, z=1, scale=(-0.5, 0.5, 0.6)))]
+
+
 def shapes() -> list[fb.Instance]:
     """Smooth joints and profiles, whose fields are bounds; an exact one, which lets light through; paint."""
     tube = (fb.cylinder(radius=0.8, height=1.6).shell(0.2) - fb.box((0.7, 3, 0.7))).smooth(0.1)
@@ -55,9 +61,11 @@ KINDS = {
     "quadrics": quadrics,
     "sparse": sparse,
     "sparse and quadrics": lambda: [*sparse(), *quadrics()],
+    "nested": nested,
     "shapes": shapes,
     "all": lambda: [
         *quadrics(),
+        fb.Instance(nested()[0].geometry, moved(x=1.8, z=1.8, scale=(0.4,) * 3)),
         *(fb.Instance(item.geometry, item.transform @ moved(x=0.8, z=-1.2)) for item in (*sparse()[:1], *shapes()[:1])),
         fb.Instance(knot(), moved(x=-1.6, z=1.2, scale=(0.5,) * 3)),
     ],

@@ -137,14 +137,12 @@ def raymarch(
     coincident faces. Sphere tracing, in some parts and with ``method="whole"``, may miss an interval inside that is
     shorter than 3e-5 of the frame.
 
-    Quantised and sparse volumes are read in their stored form, on the CPU and on a graphics device. A device draws
-    sparse volumes and nested fields if their sides have at most 16380 voxels in total. It draws nested fields under
-    directional lights without penumbrae; the CPU draws them otherwise.
+    The CPU reads quantised and sparse volumes in their stored form. A graphics device draws a field as a scene of one
+    instance, and stores its samples as float32.
 
     With ``filter="nearest"`` the value at a point is the sample of the voxel that contains it, as in
     ``volume.sample(points, filter="nearest")``. The solid is then a union of voxels, so this picture is both the
-    picture of a point filter and a view of the voxels. It has hard shadows or none, and a graphics device decodes
-    quantised and sparse volumes to the whole grid for it.
+    picture of a point filter and a view of the voxels. It has hard shadows or none, and the CPU draws it.
 
     References
     ----------
@@ -311,35 +309,27 @@ def _draw_shape(shape: Shape, method: Method, options: _Options) -> Frame:
 def _draw_nested(field: NestedField, options: _Options) -> Frame:
     if options.filter != "linear":
         raise ArgumentError(f'filter: "{options.filter}" needs a volume, got a NestedField')
-    camera = options.view_of(field.inner_bounds)
-    if not options.needs_scene:
-        picture = options.arguments(camera)
-        with progress_callback(options.progress, "raymarch") as callback:
-            drawn = _core.raymarch_nested(field._stored(), picture, device=options.device, progress=callback)
-        if drawn is not None:
-            return frame_of(drawn)
-    # Scenes march nested fields on the CPU.
-    return options.render([field], camera, "raymarch", "cpu" if options.device == "auto" else options.device)
+    return options.render([field], options.view_of(field.inner_bounds), "raymarch", options.device)
 
 
 def _draw_volume(volume: Volume | SparseVolume, options: _Options) -> Frame:
     camera = options.view_of(volume.inner_bounds)
     if options.needs_scene:
         _refuse_filter(options)
-        return options.render([volume], camera, "raymarch", options.device)
-    lower, upper = volume._corners()
-    with progress_callback(options.progress, "raymarch") as callback:
-        result = _core.raymarch(
-            volume._source(options.device),
-            lower,
-            upper,
-            options.arguments(camera),
-            scale=volume._scale,
-            filter=options.filter,
-            device=options.device,
-            progress=callback,
-        )
-    return frame_of(result)
+    else:
+        with progress_callback(options.progress, "raymarch") as callback:
+            result = _core.raymarch(
+                volume._core_field if isinstance(volume, SparseVolume) else volume._texels,
+                *volume._corners(),
+                options.arguments(camera),
+                scale=volume._scale,
+                filter=options.filter,
+                device=options.device,
+                progress=callback,
+            )
+        if result is not None:
+            return frame_of(result)
+    return options.render([volume], camera, "raymarch", options.device)
 
 
 def _draw_entry(entry: AtlasEntry, options: _Options) -> Frame:

@@ -269,10 +269,6 @@ class NestedField(Loadable, Shaded, Convertible, Pictured):
             found.append((level, held))
         return [*found, (self._joined_levels()[-1], remaining)]
 
-    def _stored(self) -> list[tuple[NDArray[np.float32], Any, Any]]:
-        """List the samples and the box of each level for the core."""
-        return [(level.distances, *level._corners()) for level in self._joined_levels()]
-
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(f"a NestedField cannot be changed ({name}); make a new one")
 

@@ -199,10 +199,6 @@ class SparseVolume(GridField, Loadable, Shaded, Convertible):
     def _shader_textures(self) -> ShaderBuffers:
         return sparse_buffers(self)
 
-    def _source(self, device: str) -> _core.SparseField:
-        checks.text("device", device)
-        return self._core_field
-
     @property
     def _scale(self) -> float:
         return 1.0

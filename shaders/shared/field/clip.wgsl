@@ -1,4 +1,4 @@
-// Clips rays to the box of a grid, in grid space: voxel centres are at whole numbers. Twin of `clip_to_box` in
+// Clips rays to a box in the grid space of a field, where voxel centres are at whole numbers. Twin of `clip_to_box` in
 // src/march/marcher.rs.
 
 const NO_AXIS: u32 = 3u;
@@ -16,19 +16,6 @@ struct ClippedRay {
     t_enter: f32,
     // Axis of the face through which the ray enters; NO_AXIS if it starts inside.
     enter_axis: u32,
-}
-
-struct Hit {
-    t: f32,
-    is_hit: bool,
-    // True if the field is <= 0 at the start of the ray.
-    at_start: bool,
-    steps: u32,
-}
-
-// The part of a ray inside the box of `shape` voxels. Origin and direction are in grid space.
-fn clip_to_box(origin: vec3f, direction: vec3f, shape: vec3u) -> ClippedRay {
-    return clip_between(origin, direction, vec3f(-0.5), vec3f(shape) - 0.5);
 }
 
 // The part of a ray between two corners of a box, in grid space.

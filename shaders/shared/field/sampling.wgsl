@@ -20,10 +20,3 @@ fn cell_corners(cell: vec3i, shape: vec3u) -> array<f32, 8> {
         stored_sample(low.x + y1 + z1), stored_sample(high.x + y1 + z1),
     );
 }
-
-// The trilinear field at a point of grid space. Outside the box: the value at its nearest point.
-fn field_at(p_grid: vec3f, shape: vec3u) -> f32 {
-    let p = clamp(p_grid, vec3f(-0.5), vec3f(shape) - 0.5);
-    let cell = floor(p);
-    return trilinear(cell_corners(vec3i(cell), shape), p - cell);
-}

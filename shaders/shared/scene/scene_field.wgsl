@@ -51,6 +51,7 @@ const KIND_DENSE: u32 = 0u;
 const KIND_SPARSE: u32 = 1u;
 const KIND_QUADRIC: u32 = 2u;
 const KIND_SHAPE: u32 = 3u;
+const KIND_NESTED: u32 = 4u;
 
 @group(0) @binding(3) var<storage, read> instances: array<SceneInstance>;
 @group(0) @binding(4) var<storage, read> fields: array<SceneField>;

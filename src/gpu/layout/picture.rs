@@ -33,62 +33,11 @@ gpu_structs! {
         shadows: u32,
     }
 
-    /// `shaders/shared/picture/picture.wgsl`.
-    "raymarch": struct MarchParams {
-        rays: PictureRays,
-        shape: [u32; 3],
-        band_start: u32,
-        color: [f32; 3],
-        band_end: u32,
-        relative_spacing: [f32; 3],
-        ambient: f32,
-        background: [f32; 4],
-        specular: f32,
-        shininess: f32,
-        bias_voxels: f32,
-        pad_0: u32,
-    }
-
-    /// `shaders/shared/field/samples_encoded.wgsl`.
-    "raymarch_encoded": struct StoredParams {
-        encoding: u32,
-        scale: f32,
-        pad_0: u32,
-        pad_1: u32,
-    }
-
-    /// `shaders/shared/field/ray_sparse.wgsl`.
-    "raymarch_sparse": struct SparseParams {
-        bricks: [u32; 3],
-        floor: f32,
-        node_step: [f32; 3],
-        longest_step: f32,
-    }
-
-    /// `shaders/shared/field/nested.wgsl`.
-    "raymarch_nested": struct NestedLevel {
-        shape: [u32; 3],
-        first_sample: u32,
-        offset: [f32; 3],
-        scale: f32,
-    }
-
     /// `shaders/shared/picture/light.wgsl`.
-    "raymarch": struct Light {
+    "quadrics": struct Light {
         direction: [f32; 3],
         pad_0: u32,
         color: [f32; 3],
-        pad_1: u32,
-    }
-
-    /// `shaders/shared/picture/picture.wgsl`.
-    "raymarch": struct Pixel {
-        color: [f32; 4],
-        normal: [f32; 3],
-        depth: f32,
-        steps: u32,
-        is_hit: u32,
-        pad_0: u32,
         pad_1: u32,
     }
 }

@@ -103,8 +103,9 @@ impl Fields {
         let mut by_address = HashMap::new();
         for field in fields_of(scene, far) {
             if let Entry::Vacant(new) = by_address.entry(address(field)) {
-                let place = tables.records.len() as u32;
-                new.insert((field.clone(), field.append_to(&mut tables)?.then_some(place)));
+                // Nested fields append the records of their levels first.
+                let is_supported = field.append_to(&mut tables)?;
+                new.insert((field.clone(), is_supported.then(|| tables.records.len() as u32 - 1)));
             }
         }
         Ok(Self {

@@ -37,9 +37,22 @@ impl<'a> DeviceFields<'a> {
         let record = self.sampled(FieldKind::Sparse, view.grid(), empty);
         self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
         self.bytes.extend_from_slice(bytemuck::cast_slice(view.index()));
-        let (params, nodes) = view.for_devices();
-        let [x, y, z] = params.node_step;
-        self.add(record, &[&[params.floor, params.longest_step, x, y, z], &nodes, view.texels()])
+        let (header, nodes) = view.for_devices();
+        self.add(record, &[&header, &nodes, view.texels()])
+    }
+
+    /// Appends the record of nested fields. The last `levels` records are their levels, finest first. `numbers` has the
+    /// map and the region of each level, see `shaders/shared/scene/variants/scene_nested.wgsl`.
+    pub(crate) fn add_nested(&mut self, levels: usize, numbers: &[f32]) -> Result<(), DeviceError> {
+        let record = SceneField {
+            shape: [levels as u32, 0, 0],
+            first_block: (self.records.len() - levels) as u32,
+            kind: FieldKind::Nested as u32,
+            ..SceneField::default()
+        };
+        self.add(record, &[numbers])?;
+        self.kinds.nested = true;
+        Ok(())
     }
 
     pub fn add_quadric(&mut self, local: &Local) -> Result<(), DeviceError> {

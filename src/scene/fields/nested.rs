@@ -15,8 +15,9 @@
 //!
 //! Field space is the grid space of the finest level.
 
+use super::device_fields::DeviceFields;
 use super::field::{Field, FieldHit, FieldRay};
-use crate::error::{Error, SceneError};
+use crate::error::{DeviceError, Error, SceneError};
 use crate::geometry::clip;
 use glam::{DAffine3, Vec3};
 use std::sync::Arc;
@@ -149,5 +150,18 @@ impl Field for NestedField {
     fn gradient(&self, p: Vec3) -> Vec3 {
         let (level, p) = self.at(p);
         level.field.gradient(p)
+    }
+
+    fn append_to(&self, tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
+        let mut numbers = Vec::new();
+        for level in &self.levels {
+            if !level.field.append_to(tables)? {
+                return Ok(false);
+            }
+            let [lower, upper] = level.region;
+            numbers.extend([level.scale, level.offset, lower, upper].into_iter().flat_map(|triple| triple.to_array()));
+        }
+        tables.add_nested(self.levels.len(), &numbers)?;
+        Ok(true)
     }
 }

@@ -16,6 +16,7 @@ pub(crate) enum FieldKind {
     Sparse = 1,
     Quadric = 2,
     Shape = 3,
+    Nested = 4,
 }
 
 /// Largest number of structures of a scene's shapes. A text with more takes minutes to compile.
@@ -25,6 +26,7 @@ pub(crate) const MAX_STRUCTURES: usize = 8;
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct GeometryKinds {
     pub sparse: bool,
+    pub nested: bool,
     pub quadrics: bool,
     /// The functions of the shapes' structures.
     pub structures: Vec<String>,
@@ -37,6 +39,9 @@ impl GeometryKinds {
         let mut texts = Vec::new();
         if self.sparse {
             texts.push(("scene_samples", file("scene_sparse")));
+        }
+        if self.nested {
+            texts.push(("scene_levels", file("scene_nested")));
         }
         if self.quadrics {
             texts.push(("scene_objects", file("scene_quadric")));
@@ -91,10 +96,10 @@ mod tests {
     fn every_text_is_valid() {
         let shape: Shape = language::parse("(difference (box 1 1 1) (sphere 0.6))").unwrap();
         let body = StructureText::of(&Solid::new(&shape).unwrap(), ARRAY, TURNS).unwrap().body;
-        for i in 0..8u8 {
+        for i in 0..16u8 {
             let has = |bit: u8| i >> bit & 1 == 1;
             let structures = if has(2) { vec![body.clone()] } else { Vec::new() };
-            let mut texts = GeometryKinds { sparse: has(0), quadrics: has(1), structures }.texts();
+            let mut texts = GeometryKinds { sparse: has(0), nested: has(3), quadrics: has(1), structures }.texts();
             texts.push(cases_text(has(1)));
             for kernel in ["scene_beams", "scene_fields"] {
                 let text = source_instead(kernel, &texts).unwrap();
@@ -102,6 +107,7 @@ mod tests {
                 assert_eq!(text.contains("fn march_bricks"), has(0));
                 assert_eq!(text.contains("fn quadric_hit"), has(1));
                 assert_eq!(text.contains("fn structure_0"), has(2));
+                assert_eq!(text.contains("fn nested_hit"), has(3));
             }
         }
     }

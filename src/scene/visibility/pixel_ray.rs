@@ -226,13 +226,14 @@ impl PixelRay<'_> {
 
     /// The layer of a field that a device found at a depth, scene units.
     pub(crate) fn field_at(&self, item: u32, depth: f64, at_start: bool) -> Option<Layer> {
-        let depth = depth * self.scene.scale;
         let direction = self.view.direction(self.x, self.y);
         let to_field = self.scene.instances[item as usize].field_from_scene;
         let eye = to_field.transform_point3(self.scene.scene_from_world(self.start()));
-        let p = eye + to_field.matrix3 * (depth / self.scene.scale * direction);
         let [lower, upper] = self.scene.instances[item as usize].field.as_deref()?.surface_bounds();
         let is_outside = eye.cmplt(lower.as_dvec3()).any() || eye.cmpgt(upper.as_dvec3()).any();
+        // The device moves a surface at the eye to its near plane.
+        let depth = if at_start && !is_outside { 0.0 } else { depth * self.scene.scale };
+        let p = eye + to_field.matrix3 * (depth / self.scene.scale * direction);
         let hit = FieldHit { t: depth as f32, at_start, part: 0 };
         self.field_layer(item, direction, depth, p.as_vec3(), &hit, at_start && is_outside)
     }

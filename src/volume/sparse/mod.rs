@@ -38,7 +38,6 @@ use super::{Cell, FieldView, Texel, Trilinear, trilinear};
 use crate::error::{ArgumentError, Error};
 pub(crate) use crate::gpu::constants::bricks::{BRICK_CELLS, BRICK_LEN, BRICK_SAMPLES};
 use crate::gpu::constants::bricks::{BRICK_MASK, LEVEL_SHIFT, NOTHING_STORED};
-use crate::gpu::layout::SparseParams;
 use crate::grid::Grid;
 use crate::memory::allocate_samples;
 use crate::progress::Progress;
@@ -205,19 +204,14 @@ impl<'a, T: Texel> SparseView<'a, T> {
         self.floor
     }
 
-    /// Parameters for shaders, and the nodes in units of the longest step between them
-    /// (`shaders/shared/field/bricks.wgsl`).
-    pub(crate) fn for_devices(&self) -> (SparseParams, Vec<f32>) {
+    /// The floor, the longest step between nodes, and the step along each axis as a fraction of it. Then the nodes in
+    /// units of the longest step (`shaders/shared/field/bricks.wgsl`).
+    pub(crate) fn for_devices(&self) -> ([f32; 5], Vec<f32>) {
         let step = self.grid.spacing() * BRICK_CELLS as f64;
         let longest = step.max_element();
         let nodes = self.nodes().iter().map(|&node| (f64::from(node) / longest) as f32).collect();
-        let params = SparseParams {
-            bricks: self.bricks.map(|n| n as u32),
-            floor: self.floor as f32,
-            node_step: (step / longest).as_vec3().to_array(),
-            longest_step: longest as f32,
-        };
-        (params, nodes)
+        let [x, y, z] = (step / longest).as_vec3().to_array();
+        ([self.floor as f32, longest as f32, x, y, z], nodes)
     }
 
     /// Entry of a brick in the index.

@@ -1,4 +1,0 @@
-// Draws the zero level set of nested fields. Each field is twice as fine as the one around it.
-
-#import nested
-#import picture
