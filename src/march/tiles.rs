@@ -24,7 +24,6 @@
 use super::blocks::{Block, Blocks, Occupancy};
 use super::marcher::{Marcher, each_axis};
 use crate::error::Error;
-use crate::grid::Grid;
 use crate::picture::Camera;
 use crate::progress::Progress;
 use glam::{DMat3, DVec2, DVec3, IVec3};
@@ -43,9 +42,28 @@ const MARGIN: f64 = 1.0 / 16.0;
 /// Least depth of a block before the eye, in voxels: points closer to the eye are not projected.
 const NEAREST: f64 = 1.0;
 
+/// The camera of a picture in the grid space of a field.
+#[derive(Debug, Clone, Copy)]
+pub struct GridCamera {
+    camera: Camera,
+    /// World units in a voxel along each axis of the grid, which need not be perpendicular in the world.
+    world_from_grid: DMat3,
+    /// Position of the camera in grid space.
+    eye: DVec3,
+    /// Width and height of the picture, pixels.
+    size: [u32; 2],
+}
+
+impl GridCamera {
+    /// `eye` is the position of the camera in grid space.
+    pub(crate) fn new(camera: &Camera, world_from_grid: DMat3, eye: DVec3, size: [u32; 2]) -> Self {
+        Self { camera: *camera, world_from_grid, eye, size }
+    }
+}
+
 /// The range of depths of each tile, in multiples of the directions of its rays.
 #[derive(Debug)]
-pub(crate) struct Tiles {
+pub struct Tiles {
     columns: usize,
     /// By rows, the row at the top first. Empty if all rays begin at the eye.
     depths: Vec<[f64; 2]>,
@@ -64,11 +82,10 @@ enum End {
 impl Tiles {
     pub(crate) fn new<F: Blocks>(
         marcher: &Marcher<F>,
-        camera: &Camera,
-        size: [u32; 2],
+        camera: &GridCamera,
         progress: &Progress,
     ) -> Result<Self, Error> {
-        let view = Projection::new::<F>(marcher.field.grid(), camera, size);
+        let view = Projection::new::<F>(camera);
         let empty = marcher.empty();
         let [nx, ny, nz] = empty.shape();
         let corners = (0..8).map(|i| view.lower_corner([nx * (i & 1), ny * (i >> 1 & 1), nz * (i >> 2)]));
@@ -146,16 +163,17 @@ impl Cube {
 }
 
 impl Projection {
-    fn new<F: Blocks>(grid: &Grid, camera: &Camera, size: [u32; 2]) -> Self {
-        let spacing = grid.spacing();
-        let unit = spacing.max_element();
-        let view_from_grid = camera.view_from_world() * DMat3::from_diagonal(spacing / unit);
+    fn new<F: Blocks>(&GridCamera { camera, world_from_grid, eye, size }: &GridCamera) -> Self {
+        let longest = |m: DMat3| m.x_axis.length().max(m.y_axis.length()).max(m.z_axis.length());
+        let unit = longest(world_from_grid);
+        let shortest = 1.0 / longest(world_from_grid.inverse().transpose());
+        let view_from_grid = camera.view_from_world() * (world_from_grid * (1.0 / unit));
         let sides = std::iter::successors(Some(F::SIDE), |&side| (side % 2 == 0).then_some(side / 2));
         let pixel = camera.pixel_size(size[1]);
         let size = size.map(|n| n as usize);
         Self {
             view_from_grid,
-            eye: (camera.eye - grid.lower) / spacing - 0.5,
+            eye,
             side: F::SIDE as f64,
             cubes: sides.map(|side| Cube::new(side, &view_from_grid)).collect(),
             is_parallel: camera.is_parallel(),
@@ -163,7 +181,7 @@ impl Projection {
             size,
             columns: size[0].div_ceil(TILE),
             unit,
-            farthest: MARGIN * spacing.min_element() / unit / (16.0 * f64::EPSILON),
+            farthest: MARGIN * shortest / unit / (16.0 * f64::EPSILON),
         }
     }
 
@@ -262,6 +280,7 @@ fn overlap([low, high]: [f64; 2], count: usize) -> Option<RangeInclusive<usize>>
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::grid::Grid;
     use crate::march::bricks::MaskedBricks;
     use crate::march::marcher::clip_to_box;
     use crate::picture::Filter;
@@ -283,7 +302,9 @@ mod tests {
         let marcher = Marcher::new(field, &Progress::new()).unwrap();
         let field = &marcher.field;
         let spacing = field.grid().spacing();
-        let tiles = Tiles::new(&marcher, camera, SIZE, &Progress::new()).unwrap();
+        let eye = field.grid_from_world(camera.eye);
+        let camera_in_grid = GridCamera::new(camera, DMat3::from_diagonal(spacing), eye, SIZE);
+        let tiles = Tiles::new(&marcher, &camera_in_grid, &Progress::new()).unwrap();
         let [mut hits, mut shorter] = [0, 0];
         for i in 0..SIZE[0] * SIZE[1] {
             let (x, y) = (i % SIZE[0], i / SIZE[0]);

@@ -4,10 +4,10 @@ use super::shade::{PixelHit, Shader};
 use crate::error::Error;
 use crate::march::blocks::Blocks;
 use crate::march::marcher::{Marcher, clip_to_box};
-use crate::march::tiles::Tiles;
+use crate::march::tiles::{GridCamera, Tiles};
 use crate::picture::{Camera, Frame, RaymarchOptions, Row};
 use crate::progress::Progress;
-use glam::{DVec3, Vec3};
+use glam::{DMat3, DVec3, Vec3};
 
 /// Draws the zero level set of a field.
 pub fn raymarch<F: Blocks>(
@@ -20,10 +20,13 @@ pub fn raymarch<F: Blocks>(
     let lights = options.directional_lights()?;
     let marcher = Marcher::new(field, progress)?;
     let shader = Shader::new(&marcher, options, &lights);
+    let spacing = marcher.field.grid().spacing();
+    let eye = marcher.field.grid_from_world(camera.eye);
+    let camera_in_grid = GridCamera::new(camera, DMat3::from_diagonal(spacing), eye, options.size);
     let view = RaymarchView {
         camera,
-        spacing: marcher.field.grid().spacing(),
-        tiles: Tiles::new(&marcher, camera, options.size, progress)?,
+        spacing,
+        tiles: Tiles::new(&marcher, &camera_in_grid, progress)?,
         shape: marcher.field.shape(),
         marcher: &marcher,
         shader,

@@ -77,6 +77,8 @@ pub(crate) struct ShapeRay {
 pub(crate) struct ShapeHit {
     pub t: f32,
     pub part: u32,
+    /// Whether the hit is where the ray enters the box of the part: the ray may have begun inside.
+    pub is_at_entry: bool,
 }
 
 /// Numbers of evaluations of a ray.
@@ -179,7 +181,7 @@ impl<'a> Tracer<'a> {
                         && let Some(t) = self.first_root(cell.part, ray, span, stack, work)
                     {
                         t_best = t;
-                        best = Some(ShapeHit { t, part: cell.part });
+                        best = Some(ShapeHit { t, part: cell.part, is_at_entry: t == span.0 });
                         if any {
                             return best;
                         }

@@ -26,6 +26,25 @@ pub struct Material {
     pub scattering: [f32; 3],
 }
 
+#[cfg(test)]
+impl Material {
+    /// A half transparent colour alone, for tests.
+    pub(crate) fn plain(two_sided: bool, alpha: Alpha) -> Self {
+        Self {
+            color: [0.5, 0.6, 0.7, 0.5],
+            texture: None,
+            emission: [0.0; 3],
+            emission_texture: None,
+            unlit: false,
+            specular: 0.0,
+            shininess: 1.0,
+            alpha,
+            two_sided,
+            scattering: [0.0; 3],
+        }
+    }
+}
+
 /// Use of opacity.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Alpha {

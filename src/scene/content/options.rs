@@ -150,3 +150,25 @@ pub struct RenderOptions {
     /// [`crate::scene::lighting::evaluation`].
     pub light_scale: u32,
 }
+
+#[cfg(test)]
+impl Default for RenderOptions {
+    /// Simple options for tests.
+    fn default() -> Self {
+        Self {
+            size: [64, 49],
+            primary: Primary::Auto,
+            shadows: SceneShadows::None,
+            lights: Vec::new(),
+            ambient: Ambient::Constant(1.0),
+            occlusion: None,
+            bounces: None,
+            denoise: true,
+            far: None,
+            background: [0.0; 4],
+            exposure: 1.0,
+            samples: 1,
+            light_scale: 1,
+        }
+    }
+}

@@ -6,7 +6,7 @@
 use crate::geometry::Aabb;
 use crate::gpu::layout::SceneNode;
 use crate::simd::with_vectors;
-use glam::Vec3;
+use glam::{Vec3, Vec3A};
 
 /// Largest number of items in a leaf. Nodes of devices have two.
 const LEAF: usize = 2;
@@ -37,8 +37,8 @@ pub struct Tree {
 /// A ray in scene space, prepared for tests of boxes.
 #[derive(Debug, Clone, Copy)]
 pub struct Line {
-    origin: Vec3,
-    inverse: Vec3,
+    origin: Vec3A,
+    inverse: Vec3A,
     /// Enlargement of boxes per distance of their far corner: 0 for a ray.
     spread: f32,
     /// Slope of the cone's side.
@@ -58,10 +58,10 @@ impl Line {
     /// A cone of radius `slope * distance` around a ray with a unit direction; the slope is below 1.
     pub fn cone(origin: Vec3, direction: Vec3, slope: f32) -> Self {
         let inverse = |d: f32| if d.abs() < 1.0 / PARALLEL { PARALLEL } else { 1.0 / d };
-        let inverse = Vec3::new(inverse(direction.x), inverse(direction.y), inverse(direction.z));
+        let inverse = Vec3A::new(inverse(direction.x), inverse(direction.y), inverse(direction.z));
         // A point of the box in the cone lies within `far` of the origin, and its projection onto the axis within
         // `far / (1 - slope)`.
-        Self { origin, inverse, spread: 0.0, slope: 0.0, start_radius: 0.0 }.with_slope(slope)
+        Self { origin: origin.into(), inverse, spread: 0.0, slope: 0.0, start_radius: 0.0 }.with_slope(slope)
     }
 
     /// A cone with the same axis and another slope.
@@ -75,8 +75,8 @@ impl Line {
     }
 
     /// The interval of the ray inside a box, with `t` not below 0; `None` if it misses.
-    #[inline]
-    pub fn span(&self, min: Vec3, max: Vec3, t_max: f32) -> Option<(f32, f32)> {
+    #[inline(always)]
+    pub fn span(&self, min: Vec3A, max: Vec3A, t_max: f32) -> Option<(f32, f32)> {
         // A cone touches the box if its axis intersects the box enlarged by the largest radius there.
         let grown = if self.spread > 0.0 {
             let far = (self.origin - min).abs().max((self.origin - max).abs()).length();
@@ -91,12 +91,12 @@ impl Line {
     /// Whether a cone or a ray may intersect a box before `t_max`.
     #[inline]
     pub fn touches(&self, bounds: &Aabb, t_max: f32) -> bool {
-        self.span(bounds.min - MARGIN, bounds.max + MARGIN, t_max).is_some()
+        self.span((bounds.min - MARGIN).into(), (bounds.max + MARGIN).into(), t_max).is_some()
     }
 
     /// The part of the ray in a box that is grown by a length on all sides.
-    #[inline]
-    fn clip(&self, min: Vec3, max: Vec3, grown: f32, t_max: f32) -> Option<(f32, f32)> {
+    #[inline(always)]
+    fn clip(&self, min: Vec3A, max: Vec3A, grown: f32, t_max: f32) -> Option<(f32, f32)> {
         let a = (min - grown - self.origin) * self.inverse;
         let b = (max + grown - self.origin) * self.inverse;
         let (near, far) = (a.min(b), a.max(b));
@@ -263,7 +263,7 @@ impl Tree {
         let mut top = 0;
         let span = |node: u32, limit: f32| {
             let node = &self.nodes[node as usize];
-            line.span(Vec3::from_array(node.min), Vec3::from_array(node.max), limit)
+            line.span(Vec3A::from_array(node.min), Vec3A::from_array(node.max), limit)
         };
         if let Some((enter, _)) = span(0, limit) {
             stack[0] = (0, enter);
@@ -286,12 +286,10 @@ impl Tree {
                 continue;
             }
             // Pushes the far child first.
-            let children = [node.first, node.first + 1].map(|child| (child, span(child, limit)));
-            let far_first = match (children[0].1, children[1].1) {
-                (Some((a, _)), Some((b, _))) if a < b => [children[1], children[0]],
-                _ => children,
-            };
-            for (child, found) in far_first {
+            let left = (node.first, span(node.first, limit));
+            let right = (node.first + 1, span(node.first + 1, limit));
+            let is_left_near = matches!((left.1, right.1), (Some((a, _)), Some((b, _))) if a < b);
+            for (child, found) in if is_left_near { [right, left] } else { [left, right] } {
                 if let Some((enter, _)) = found {
                     stack[top] = (child, enter);
                     top += 1;

@@ -16,6 +16,7 @@ use crate::error::{DeviceError, Error};
 use crate::grid::Grid;
 use crate::march::blocks::{BlockMask, Blocks, DenseBlock};
 use crate::march::marcher::{GridRay, Marcher};
+use crate::march::tiles::{GridCamera, Tiles};
 use crate::progress::Progress;
 use crate::volume::{Cell, FieldView, Trilinear, trilinear, trilinear_gradient};
 use glam::{DAffine3, DMat3, DVec3, IVec3, Vec3};
@@ -120,6 +121,12 @@ pub trait Field: Send + Sync {
     /// Appends its data to the tables of a device; false if devices do not support the kind.
     fn append_to(&self, _tables: &mut DeviceFields<'_>) -> Result<bool, DeviceError> {
         Ok(false)
+    }
+
+    /// The depths between which the rays of a picture of about `pixels` pixels can meet the surface; `None` if the
+    /// field does not know them, or if they would take longer than the rays.
+    fn tiles(&self, _camera: &GridCamera, _pixels: usize, _progress: &Progress) -> Result<Option<Tiles>, Error> {
+        Ok(None)
     }
 
     /// Whether a hit that a device found must be computed again by the ray of the pixel on the CPU: for objects with
@@ -265,7 +272,16 @@ impl<F: Blocks + Send + Sync + OnDevice> Field for SampledField<F> {
         F::append_to(self, tables)?;
         Ok(true)
     }
+
+    fn tiles(&self, camera: &GridCamera, pixels: usize, progress: &Progress) -> Result<Option<Tiles>, Error> {
+        let blocks: usize = self.marcher.empty().shape().into_iter().product();
+        (blocks <= BLOCKS_PER_PIXEL * pixels).then(|| Tiles::new(&self.marcher, camera, progress)).transpose()
+    }
 }
+
+/// Largest number of blocks of a field for each pixel of its picture for which tiles are found: a tile saves a ray the
+/// search through empty blocks.
+const BLOCKS_PER_PIXEL: usize = 8;
 
 /// Fields that devices support.
 pub(crate) trait OnDevice: Blocks + Sized {

@@ -137,6 +137,9 @@ impl Field for ShapeField {
         let mut work = TraceWork::default();
         let found = SCRATCH.with_borrow_mut(|scratch| {
             let hit = tracer.first_hit(&local, &mut scratch.march, &mut work)?;
+            if !hit.is_at_entry {
+                return Some((hit, false));
+            }
             let at = (local.origin + hit.t * local.direction).to_array().map(|x| [x]);
             let tokens = &tracer.programs[hit.part as usize].tokens;
             let value = tracer.solid.program.run(tokens, &at, &mut scratch.march)[0];

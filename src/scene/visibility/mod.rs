@@ -5,3 +5,4 @@ pub(crate) mod gbuffer;
 pub(crate) mod pixel_ray;
 pub(crate) mod primary;
 pub(crate) mod rasterizer;
+pub(crate) mod searched;

@@ -2,8 +2,10 @@
 
 use super::appearance::{FaceAppearance, field_color, field_emission};
 use super::gbuffer::{Layer, View};
+use super::searched::SearchedInstances;
 use crate::bvh::rays::watertight::{FaceHit, Ray};
 use crate::geometry::clip;
+use crate::march::tiles::Tiles;
 use crate::scene::content::instance::Instance;
 use crate::scene::content::material::{Alpha, Material};
 use crate::scene::content::model::Scene;
@@ -36,11 +38,82 @@ pub(crate) fn draw_row<'a>(
     let width = view.size[0] as usize;
     let (mut layers, mut steps) = (Vec::with_capacity(width), Vec::with_capacity(width));
     for x in 0..view.size[0] {
-        let mut ray = PixelRay { scene, options, view, x, y, searched: None, skips_opaque: false, steps: 0 };
+        let mut ray = PixelRay {
+            scene,
+            options,
+            view,
+            x,
+            y,
+            searched: None,
+            tiles: None,
+            only: None,
+            skips_opaque: false,
+            steps: 0,
+        };
         trace(&mut ray, &mut layers);
         steps.push(ray.steps);
     }
     (layers, steps)
+}
+
+/// The search of a ray for the nearest surface.
+struct Search<'a> {
+    /// Start of the ray in scene space.
+    eye: DVec3,
+    /// World direction; multiples of it are depths.
+    direction: DVec3,
+    /// Depth at which the search starts.
+    from: f64,
+    /// Depth of the nearest surface so far, or the depth at which the search ends.
+    nearest: f64,
+    /// The surfaces of the pixel that were found before.
+    before: &'a [Layer],
+    /// The nearest surface so far, and its instance.
+    best: Option<(u32, SurfaceHit)>,
+}
+
+impl Search<'_> {
+    /// Whether a surface of an instance at a depth or behind it was found before.
+    fn was_found(&self, item: u32, depth: f64) -> bool {
+        self.before.iter().any(|layer| layer.instance == item && layer.depth >= depth)
+    }
+}
+
+/// The hit of a ray with an instance.
+#[derive(Clone, Copy)]
+enum SurfaceHit {
+    Face(FaceHit),
+    /// A point in field space. `is_cut`: the hit is on a face of the grid.
+    Field {
+        p: Vec3,
+        hit: FieldHit,
+        is_cut: bool,
+    },
+}
+
+/// The hit of a ray with the field of an instance between two depths, and its depth. The ray of the pixel starts at
+/// `from`.
+fn field_hit(
+    scene: &Scene,
+    item: u32,
+    eye: DVec3,
+    direction: DVec3,
+    [near, far]: [f64; 2],
+    from: f64,
+    steps: &mut u32,
+) -> Option<(f64, SurfaceHit)> {
+    let instance = &scene.instances[item as usize];
+    let field = instance.field.as_deref()?;
+    let origin = instance.field_from_scene.transform_point3(eye);
+    let along = instance.field_from_scene.matrix3 * (direction / scene.scale);
+    let [lower, upper] = field.surface_bounds();
+    let (enter, leave) = clip(origin, along, lower, upper, near, far)?;
+    let ray = FieldRay { origin: (origin + enter * along).as_vec3(), direction: along.as_vec3() };
+    let (hit, taken) = field.first_hit(&ray, (leave - enter) as f32);
+    *steps += taken;
+    let hit = hit?;
+    let p = ray.origin + hit.t * ray.direction;
+    Some((enter + f64::from(hit.t), SurfaceHit::Field { p, hit, is_cut: hit.at_start && enter > from }))
 }
 
 /// The ray of one pixel.
@@ -52,9 +125,22 @@ pub(crate) struct PixelRay<'a> {
     y: u32,
     /// For each instance, whether the search tests it; None if it tests all.
     pub searched: Option<&'a [bool]>,
+    /// For each instance, the depths between which the ray can meet its field, if they are known.
+    tiles: Option<&'a [Option<Tiles>]>,
+    /// The instance that the search tests, if it is only one: boxes are not tested then.
+    only: Option<u32>,
     /// Whether the opaque faces of all instances are drawn already.
     pub skips_opaque: bool,
     pub steps: u32,
+}
+
+impl<'a> PixelRay<'a> {
+    /// Limits the search to some instances; `None` tests all of them.
+    pub(crate) fn search(&mut self, searched: Option<&'a SearchedInstances>) {
+        self.searched = searched.map(|searched| &searched.is_searched[..]);
+        self.tiles = searched.map(|searched| &searched.tiles[..]);
+        self.only = searched.and_then(SearchedInstances::only);
+    }
 }
 
 impl PixelRay<'_> {
@@ -79,39 +165,48 @@ impl PixelRay<'_> {
 
     /// The nearest surface from depth `from` to `limit` that is not among the given ones.
     fn next_surface(&mut self, direction: DVec3, from: f64, limit: f64, before: &[Layer]) -> Option<Layer> {
+        let eye = self.scene.scene_from_world(self.start());
+        let mut search = Search { eye, direction, from, nearest: limit, before, best: None };
+        match self.only {
+            Some(item) => {
+                self.test(item, &mut search);
+            }
+            None => self.walk(&mut search),
+        }
+        let Search { best, nearest, .. } = search;
+        match best? {
+            (item, SurfaceHit::Face(hit)) => Some(self.mesh_ray(item, eye, direction)?.layer(self.x, item, &hit)),
+            (item, SurfaceHit::Field { p, hit, is_cut }) => self.field_layer(item, direction, nearest, p, &hit, is_cut),
+        }
+    }
+
+    /// Tests the instances whose boxes the ray enters, near ones first.
+    fn walk(&mut self, search: &mut Search<'_>) {
         let scene = self.scene;
-        let eye = scene.scene_from_world(self.start());
-        let direction_scene = direction / scene.scale;
+        let direction = search.direction / scene.scale;
         // Boxes are tested in float32, on a ray that starts just before the box of the scene.
-        let start = (self.depth_of_scene(direction)).max(from);
-        let line = Line::new((eye + start * direction_scene).as_vec3(), direction_scene.as_vec3());
+        let start = (self.depth_of_scene(search.direction)).max(search.from);
+        let line = Line::new((search.eye + start * direction).as_vec3(), direction.as_vec3());
         // The limit lies slightly beyond a hit, because boxes are rounded to float32.
         let reach =
-            |depth: f64| ((depth - start) * 1.000_01 + 1e-6 / direction_scene.length()).min(f64::from(f32::MAX)) as f32;
-        let mut best: Option<Layer> = None;
-        let mut nearest = limit;
-        let mut steps = self.steps;
-        scene.tree.walk(&line, reach(limit), |item, limit| {
-            let instance = &scene.instances[item as usize];
-            if !instance.visible || self.searched.is_some_and(|searched| !searched[item as usize]) {
-                return limit;
-            }
-            steps += 1;
-            let was_found = |depth: f64| before.iter().any(|layer| layer.instance == item && layer.depth >= depth);
-            let found = if as_triangles(instance, self.options.primary) {
-                self.triangle(item, eye, direction, from, nearest, &was_found)
-            } else {
-                self.field(item, eye, direction, [from, nearest], &was_found, &mut steps)
-            };
-            if let Some(layer) = found {
-                nearest = layer.depth;
-                best = Some(layer);
-                return reach(nearest);
-            }
-            limit
+            |depth: f64| ((depth - start) * 1.000_01 + 1e-6 / direction.length()).min(f64::from(f32::MAX)) as f32;
+        scene.tree.walk(&line, reach(search.nearest), |item, limit| {
+            if self.test(item, search) { reach(search.nearest) } else { limit }
         });
-        self.steps = steps;
-        best
+    }
+
+    /// Whether an instance has the nearest surface so far, which is then stored.
+    fn test(&mut self, item: u32, search: &mut Search<'_>) -> bool {
+        let instance = &self.scene.instances[item as usize];
+        if !instance.visible || self.searched.is_some_and(|searched| !searched[item as usize]) {
+            return false;
+        }
+        self.steps += 1;
+        if as_triangles(instance, self.options.primary) {
+            self.test_triangles(item, search)
+        } else {
+            self.test_field(item, search)
+        }
     }
 
     /// World position at which the ray starts.
@@ -138,21 +233,17 @@ impl PixelRay<'_> {
         self.scene.instances[item as usize].field.as_ref().is_some_and(|field| field.is_traced_again())
     }
 
-    fn triangle(
-        &self,
-        item: u32,
-        eye: DVec3,
-        direction: DVec3,
-        from: f64,
-        nearest: f64,
-        was_found: &dyn Fn(f64) -> bool,
-    ) -> Option<Layer> {
-        let ray = self.mesh_ray(item, eye, direction)?;
-        let hit = ray.triangles.mesh.first_hit(&Ray { t_max: nearest, ..ray.in_tree }, |hit| {
+    fn test_triangles(&self, item: u32, search: &mut Search<'_>) -> bool {
+        let Some(ray) = self.mesh_ray(item, search.eye, search.direction) else { return false };
+        let found = ray.triangles.mesh.first_hit(&Ray { t_max: search.nearest, ..ray.in_tree }, |hit| {
             let is_drawn = || self.skips_opaque && is_opaque(ray.instance, ray.material(hit));
-            hit.t >= from && !was_found(hit.t) && !is_drawn() && ray.is_visible(hit)
-        })?;
-        Some(ray.layer(self.x, item, &hit))
+            hit.t >= search.from && !search.was_found(item, hit.t) && !is_drawn() && ray.is_visible(hit)
+        });
+        if let Some(hit) = found {
+            search.nearest = hit.t;
+            search.best = Some((item, SurfaceHit::Face(hit)));
+        }
+        found.is_some()
     }
 
     /// The layer of a face that a device found in the pixel; None if the exact ray misses the face or the mask cuts it
@@ -183,36 +274,25 @@ impl PixelRay<'_> {
         })
     }
 
-    fn field(
-        &self,
-        item: u32,
-        eye: DVec3,
-        direction: DVec3,
-        [from, nearest]: [f64; 2],
-        was_found: &dyn Fn(f64) -> bool,
-        steps: &mut u32,
-    ) -> Option<Layer> {
-        let scene = self.scene;
-        let instance = &scene.instances[item as usize];
-        let field = instance.field.as_deref()?;
+    fn test_field(&mut self, item: u32, search: &mut Search<'_>) -> bool {
+        let tiles = self.tiles.and_then(|tiles| tiles[item as usize].as_ref());
+        let depths = match tiles {
+            None => Some([search.from, search.nearest]),
+            Some(tiles) => tiles
+                .depths(self.x as usize, self.y as usize)
+                .map(|[near, far]| [search.from.max(near), search.nearest.min(far)]),
+        };
         // A solid is one layer: the surfaces behind its front are inside it.
-        if was_found(f64::NEG_INFINITY) {
-            return None;
+        let Some(depths) = depths.filter(|_| !search.was_found(item, f64::NEG_INFINITY)) else { return false };
+        let (scene, from) = (self.scene, search.from);
+        match field_hit(scene, item, search.eye, search.direction, depths, from, &mut self.steps) {
+            Some((depth, hit)) if depth <= search.nearest => {
+                search.nearest = depth;
+                search.best = Some((item, hit));
+                true
+            }
+            _ => false,
         }
-        let origin = instance.field_from_scene.transform_point3(eye);
-        let along = instance.field_from_scene.matrix3 * (direction / scene.scale);
-        let [lower, upper] = field.surface_bounds();
-        let (enter, leave) = clip(origin, along, lower, upper, from, nearest)?;
-        let ray = FieldRay { origin: (origin + enter * along).as_vec3(), direction: along.as_vec3() };
-        let (hit, taken) = field.first_hit(&ray, (leave - enter) as f32);
-        *steps += taken;
-        let hit = hit?;
-        let depth = enter + f64::from(hit.t);
-        if depth > nearest {
-            return None;
-        }
-        let is_cut = hit.at_start && enter > from;
-        self.field_layer(item, direction, depth, ray.origin + hit.t * ray.direction, &hit, is_cut)
     }
 
     /// The layer of a field that a device found near a depth, scene units, at the exact hit of the ray of the pixel.
@@ -221,7 +301,9 @@ impl PixelRay<'_> {
         let eye = self.scene.scene_from_world(self.start());
         let direction = self.view.direction(self.x, self.y);
         let (from, to) = ((1.0 - NEARNESS) * depth, (1.0 + NEARNESS) * depth);
-        self.field(item, eye, direction, [from, to], &|_| false, &mut 0)
+        let (depth, found) = field_hit(self.scene, item, eye, direction, [from, to], from, &mut 0)?;
+        let SurfaceHit::Field { p, hit, is_cut } = found else { return None };
+        if depth <= to { self.field_layer(item, direction, depth, p, &hit, is_cut) } else { None }
     }
 
     /// The layer of a field that a device found at a depth, scene units.
@@ -238,7 +320,7 @@ impl PixelRay<'_> {
         self.field_layer(item, direction, depth, p.as_vec3(), &hit, at_start && is_outside)
     }
 
-    /// `is_cut`: the hit is on a face of the grid.
+    /// The layer of a hit with a field at a depth; see [`SurfaceHit::Field`].
     fn field_layer(
         &self,
         item: u32,

@@ -30,7 +30,7 @@ pub(crate) fn draw(
     if let Some(chosen) = chosen {
         return trace(scene, options, view, chosen, progress);
     }
-    let rasterizer = Rasterizer::new(scene, options, &view);
+    let rasterizer = Rasterizer::new(scene, options, &view, progress)?;
     let [width, height] = options.size;
     let bands = (0..height.div_ceil(BAND_ROWS)).into_par_iter();
     let pairs: Vec<Vec<(Vec<Layer>, Vec<u32>)>> = bands

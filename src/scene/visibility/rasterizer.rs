@@ -20,6 +20,9 @@
 
 use super::gbuffer::{Layer, View};
 use super::pixel_ray::{PixelRay, as_triangles, is_opaque};
+use super::searched::{PixelRectangle, SearchedInstances, tiles_of};
+use crate::error::Error;
+use crate::progress::Progress;
 use crate::scene::content::instance::Instance;
 use crate::scene::content::material::Alpha;
 use crate::scene::content::model::Scene;
@@ -78,9 +81,6 @@ impl VisibleFace {
     }
 }
 
-/// Half-open ranges of columns and rows.
-type PixelRectangle = [Range<u32>; 2];
-
 /// A mesh instance in camera space.
 struct RasterMesh<'a> {
     item: u32,
@@ -95,16 +95,18 @@ struct RasterMesh<'a> {
 pub(crate) struct Rasterizer<'a> {
     screen: Screen,
     meshes: Vec<RasterMesh<'a>>,
-    /// For each instance, whether rays search it, and the rectangles of all that rays search. None if there are
-    /// none.
-    searched_instances: Option<(Vec<bool>, Vec<PixelRectangle>)>,
+    searched: SearchedInstances,
 }
 
 impl<'a> Rasterizer<'a> {
-    pub(crate) fn new(scene: &'a Scene, options: &RenderOptions, view: &View) -> Self {
+    pub(crate) fn new(
+        scene: &'a Scene,
+        options: &RenderOptions,
+        view: &View,
+        progress: &Progress,
+    ) -> Result<Self, Error> {
         let screen = Screen::new(scene, view);
-        let mut by_search = vec![false; scene.instances.len()];
-        let (mut rectangles, mut drawn) = (Vec::new(), Vec::new());
+        let (mut searched, mut drawn) = (SearchedInstances::new(scene.instances.len()), Vec::new());
         for (i, instance) in scene.instances.iter().enumerate().filter(|(_, instance)| instance.visible) {
             let bounds = &scene.boxes[i];
             let Some(rectangle) = screen.rectangle_of_box(bounds.min - BOX_MARGIN, bounds.max + BOX_MARGIN) else {
@@ -114,12 +116,15 @@ impl<'a> Rasterizer<'a> {
             if !screen.is_parallel && is_rasterised(scene, instance, options, FACES_PER_PIXEL * pixels) {
                 drawn.push(i as u32);
             } else {
-                by_search[i] = true;
-                rectangles.push(rectangle);
+                let tiles = match as_triangles(instance, options.primary) {
+                    true => None,
+                    false => tiles_of(scene, instance, view, pixels, progress)?,
+                };
+                searched.add(i, rectangle, tiles);
             }
         }
         let meshes = drawn.into_par_iter().map(|item| screen.mesh(scene, item)).collect();
-        Self { screen, meshes, searched_instances: (!rectangles.is_empty()).then_some((by_search, rectangles)) }
+        Ok(Self { screen, meshes, searched })
     }
 
     /// The nearest faces of the pixels of some rows.
@@ -138,14 +143,10 @@ impl<'a> Rasterizer<'a> {
         visible
     }
 
-    /// For each pixel of a row, whether the box of an instance that rays search covers it.
+    /// For each pixel of a row, whether its ray must search instances.
     pub(crate) fn searched(&self, y: u32) -> Vec<bool> {
         let mut columns = vec![false; self.screen.size[0] as usize];
-        for [across, rows] in self.searched_instances.iter().flat_map(|(_, rectangles)| rectangles) {
-            if rows.contains(&y) {
-                columns[across.start as usize..across.end as usize].fill(true);
-            }
-        }
+        self.searched.mark_row(y, &mut columns);
         columns
     }
 
@@ -168,12 +169,12 @@ impl<'a> Rasterizer<'a> {
             }
             ray.steps += 1;
         }
-        let Some((by_search, _)) = self.searched_instances.as_ref().filter(|_| is_searched) else {
+        if !is_searched {
             layers.extend(behind);
             return;
-        };
+        }
         let first = layers.len();
-        ray.searched = Some(by_search);
+        ray.search(Some(&self.searched));
         ray.trace(layers, behind);
         // At equal depths the order of the search decides.
         let is_tie = |layer: &Layer| {
@@ -181,7 +182,7 @@ impl<'a> Rasterizer<'a> {
         };
         if layers[first..].iter().any(is_tie) {
             layers.truncate(first);
-            ray.searched = None;
+            ray.search(None);
             ray.trace(layers, None);
         }
     }
@@ -406,7 +407,6 @@ mod tests {
     use crate::progress::Progress;
     use crate::scene::content::instance::InstanceInput;
     use crate::scene::content::material::Material;
-    use crate::scene::content::options::{Ambient, Primary, SceneShadows};
     use crate::scene::content::triangles::Triangles;
     use crate::scene::renderer::Renderer;
     use crate::scene::visibility::pixel_ray::draw_row;
@@ -434,20 +434,9 @@ mod tests {
     }
 
     fn scene() -> Scene {
-        let material = |two_sided: bool, alpha: Alpha| Material {
-            color: [0.5, 0.6, 0.7, 0.5],
-            texture: None,
-            emission: [0.0; 3],
-            emission_texture: None,
-            unlit: false,
-            specular: 0.0,
-            shininess: 1.0,
-            alpha,
-            two_sided,
-            scattering: [0.0; 3],
-        };
-        let materials =
-            vec![material(false, Alpha::Opaque), material(true, Alpha::Opaque), material(true, Alpha::Blend)];
+        let materials = [(false, Alpha::Opaque), (true, Alpha::Opaque), (true, Alpha::Blend)]
+            .map(|(two_sided, alpha)| Material::plain(two_sided, alpha))
+            .to_vec();
         let (floor, waves) = (sheet(1, 0.0), sheet(12, 0.1));
         let place = |triangles: &Arc<Triangles>, linear: DMat3, at: DVec3, first_material: u32| InstanceInput {
             triangles: Some(triangles.clone()),
@@ -480,24 +469,6 @@ mod tests {
         Scene::new(inputs, materials, Vec::new()).unwrap()
     }
 
-    fn options() -> RenderOptions {
-        RenderOptions {
-            denoise: true,
-            size: [64, 49],
-            primary: Primary::Auto,
-            shadows: SceneShadows::None,
-            lights: Vec::new(),
-            ambient: Ambient::Constant(1.0),
-            occlusion: None,
-            bounces: None,
-            far: None,
-            background: [0.0; 4],
-            exposure: 1.0,
-            samples: 1,
-            light_scale: 1,
-        }
-    }
-
     /// A camera that looks at the origin.
     fn camera(eye: DVec3, fov_deg: f64) -> Camera {
         let back = eye.normalize();
@@ -514,19 +485,19 @@ mod tests {
         let view = camera(DVec3::new(3.0, 2.0, 5.0), 45.0);
         for reused in [[false; 2], [true; 2]] {
             let progress = Progress::new();
-            let rendered = renderer.frame(&Place::Cpu, &scene, &view, &options(), &progress).unwrap();
+            let rendered = renderer.frame(&Place::Cpu, &scene, &view, &RenderOptions::default(), &progress).unwrap();
             assert_eq!((rendered.reused, progress.fraction()), (reused, 1.0));
         }
         let progress = Progress::new();
         progress.cancel();
-        assert!(renderer.frame(&Place::Cpu, &scene, &view, &options(), &progress).is_err());
+        assert!(renderer.frame(&Place::Cpu, &scene, &view, &RenderOptions::default(), &progress).is_err());
     }
 
     /// The rasteriser and the search give the same layers bit for bit, for eyes outside, among the meshes, in the plane
     /// of the floor, and far away.
     #[test]
     fn the_picture_is_that_of_the_search() {
-        let (scene, options) = (scene(), options());
+        let (scene, options) = (scene(), RenderOptions::default());
         let eyes = [
             (DVec3::new(3.0, 2.0, 5.0), 45.0),
             (DVec3::new(0.3, 0.9, 0.2), 100.0),
@@ -547,7 +518,7 @@ mod tests {
                     count += layers.len();
                 }
                 assert!(count > 500, "{count} layers from {eye}");
-                let rasterizer = Rasterizer::new(&scene, &options, &view);
+                let rasterizer = Rasterizer::new(&scene, &options, &view, &Progress::new()).unwrap();
                 let visible: Vec<VisibleFace> = (0..options.size[1]).flat_map(|y| rasterizer.band(y..y + 1)).collect();
                 let unsure = visible.iter().filter(|visible| visible.is_unsure()).count();
                 let found = visible.iter().filter(|visible| visible.depth < f64::INFINITY).count();
