@@ -14,6 +14,7 @@ use super::between_samples::{
 use crate::csg::evaluation::active_operands::ActiveTokens;
 use crate::csg::evaluation::dual::{ASIDE, Dual};
 use crate::csg::evaluation::program::{Program, Stack};
+use crate::csg::parts::pruning::{NearTokens, Pruning};
 use crate::csg::parts::solid::{LANES, Solid, run_wide};
 use crate::error::Error;
 use crate::grid::Grid;
@@ -23,7 +24,8 @@ use crate::surface::probes::{NEAR_STEP, PROBES, Place, around};
 use crate::surface::{CrossedEdge, Crossing, ExtraPlanes, LevelSurface, SurfaceBlocks};
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::ops::{Deref, DerefMut};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Relative margin of the bound of a block, which covers the rounding of values to float32.
 const ROUNDING: f64 = 1e-5;
@@ -119,8 +121,14 @@ fn level_surface_and_joints(
     }
     let origins: Vec<[i32; 3]> = origins.into_iter().map(IVec3::into).collect();
     let (suspects, crossed) = (Mutex::default(), Mutex::default());
-    let fill = |stack: &mut Stack<f64, LANES>, origin: [i32; 3], samples: &mut [f32]| {
-        solid.samples_of_block(grid, SIDE, origin, stack, samples);
+    let pruning = Pruning::new(solid);
+    let near = || NearTokens::new(grid.spacing().max_element() / solid.frame.scale);
+    let half = 0.5 * SIDE as f64;
+    let radius = half * grid.spacing().length() / solid.frame.scale;
+    let fill = |(stack, near): &mut (Stack<f64, LANES>, NearTokens), origin: [i32; 3], samples: &mut [f32]| {
+        let middle = grid.lower + (IVec3::from(origin).as_dvec3() + half + 0.5) * grid.spacing();
+        let tokens = near.find_alone(&pruning, solid, solid.frame.local(middle), radius);
+        solid.samples_of_block(tokens, grid, SIDE, origin, stack, samples);
         // As in the block, a place outside the grid is moved to the nearest sample of the grid.
         let most = (shape - 1).as_dvec3();
         let nearest = |index: DVec3| (IVec3::from(origin).as_dvec3() + index).clamp(DVec3::ZERO, most);
@@ -132,7 +140,7 @@ fn level_surface_and_joints(
             append(&crossed, edges.into_iter().map(place).map(|(place, axis)| (place, axis, side)).collect());
         }
     };
-    blocks.add_evaluated(SIDE, &origins, Stack::default, fill, progress)?;
+    blocks.add_evaluated(SIDE, &origins, || (Stack::default(), near()), fill, progress)?;
     let crossed: Vec<_> = crossed.into_inner().unwrap_or_else(PoisonError::into_inner);
     let suspects: Vec<_> = suspects.into_inner().unwrap_or_else(PoisonError::into_inner);
     let missed = count_missed(solid, grid, level, &crossed, progress)?;
@@ -148,22 +156,75 @@ fn append<T>(list: &Mutex<Vec<T>>, found: Vec<T>) {
 }
 
 /// Buffers of evaluations.
-#[derive(Default)]
 struct Scratch {
     stack: Stack<Dual, POINTS>,
+    near: NearTokens,
     deciding: ActiveTokens<POINTS>,
+}
+
+impl Scratch {
+    /// `voxel` is the length of a voxel, local units.
+    fn new(voxel: f64) -> Self {
+        Self { stack: Stack::default(), near: NearTokens::new(voxel), deciding: ActiveTokens::default() }
+    }
+}
+
+/// Buffers that return to the unused ones of a shape.
+struct Borrowed<'a> {
+    tangents: &'a Tangents,
+    scratch: Scratch,
+}
+
+impl Deref for Borrowed<'_> {
+    type Target = Scratch;
+
+    fn deref(&self) -> &Scratch {
+        &self.scratch
+    }
+}
+
+impl DerefMut for Borrowed<'_> {
+    fn deref_mut(&mut self) -> &mut Scratch {
+        &mut self.scratch
+    }
+}
+
+impl Drop for Borrowed<'_> {
+    fn drop(&mut self) {
+        let scratch = std::mem::replace(&mut self.scratch, Scratch::new(self.tangents.voxel));
+        self.tangents.unused().push(scratch);
+    }
 }
 
 /// A shape whose tangent planes are evaluated.
 struct Tangents {
     solid: Arc<Solid>,
     program: Program<Dual>,
+    pruning: Pruning,
     level: f64,
+    /// Length of a voxel, local units.
+    voxel: f64,
+    /// Buffers that no thread uses at the moment, with the tokens that they have found.
+    unused: Mutex<Vec<Scratch>>,
 }
 
 impl Tangents {
-    fn new(solid: &Arc<Solid>, level: f64) -> Self {
-        Self { solid: Arc::clone(solid), program: Program::new(&solid.model, solid.frame), level }
+    /// `spacing` is the size of a voxel, world units.
+    fn new(solid: &Arc<Solid>, level: f64, spacing: DVec3) -> Self {
+        let program = Program::new(&solid.model, solid.frame);
+        let voxel = spacing.max_element() / solid.frame.scale;
+        let pruning = Pruning::new(solid);
+        Self { solid: Arc::clone(solid), program, pruning, level, voxel, unused: Mutex::default() }
+    }
+
+    fn unused(&self) -> MutexGuard<'_, Vec<Scratch>> {
+        self.unused.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Buffers, with the tokens of earlier evaluations if there are some.
+    fn scratch(&self) -> Borrowed<'_> {
+        let unused = self.unused().pop();
+        Borrowed { tangents: self, scratch: unused.unwrap_or_else(|| Scratch::new(self.voxel)) }
     }
 
     /// The linear functions at up to [`POINTS`] world positions: the field minus the level at the position, and its
@@ -185,18 +246,42 @@ impl Tangents {
         })
     }
 
+    /// The linear functions at the positions, also where the field has no gradient.
     fn values(&self, points: &[DVec3; POINTS], scratch: &mut Scratch) -> [(f64, DVec3); POINTS] {
+        let apart = scratch.near.small_radius() * self.solid.frame.scale;
+        let is_near = |a: DVec3, b: DVec3| a.distance(b) <= apart;
+        if !self.pruning.has_many_leaves() || points.iter().all(|&point| is_near(point, points[0])) {
+            return self.values_together(points, scratch);
+        }
+        // Positions near each other have few tokens. The results do not depend on the other positions.
+        let mut found = [None; POINTS];
+        while let Some(first) = found.iter().position(Option::is_none) {
+            let group = points.map(|point| if is_near(point, points[first]) { point } else { points[first] });
+            let values = self.values_together(&group, scratch);
+            for (i, value) in values.into_iter().enumerate() {
+                if i == first || is_near(points[i], points[first]) {
+                    found[i].get_or_insert(value);
+                }
+            }
+        }
+        found.map(Option::unwrap_or_default)
+    }
+
+    fn values_together(&self, points: &[DVec3; POINTS], scratch: &mut Scratch) -> [(f64, DVec3); POINTS] {
         let (mut places, mut at) = ([[0.0; POINTS]; 3], [[Dual::default(); POINTS]; 3]);
+        let (mut lower, mut upper) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         for (i, &point) in points.iter().enumerate() {
             let local = self.solid.frame.local(point);
+            (lower, upper) = (lower.min(local), upper.max(local));
             let dual = Dual::position(local);
             (0..3).for_each(|axis| (places[axis][i], at[axis][i]) = (local[axis], dual[axis]));
         }
-        let mut tokens = &self.solid.model.tokens[..];
+        let Scratch { stack, near, deciding } = scratch;
+        let mut tokens = near.find(&self.pruning, &self.solid, 0.5 * (lower + upper), 0.5 * (upper - lower).length());
         if !self.program.combines.is_empty() {
-            tokens = scratch.deciding.find(self.solid.precise(), tokens, &places);
+            tokens = deciding.find(self.solid.precise(), tokens, &places);
         }
-        let values = run_wide(&self.program, tokens, &at, &mut scratch.stack);
+        let values = run_wide(&self.program, tokens, &at, stack);
         // The gradient is the same in local units, since values and positions are scaled alike.
         values.map(|dual| (dual.value * self.solid.frame.scale - self.level, DVec3::from_array(dual.slope)))
     }
@@ -219,7 +304,7 @@ impl Tangents {
     /// the planes there. Newton's method with bisection, so that every root is found. A crossing stays as it was where
     /// the field has no root, for instance if it belongs to another shape that is merged into the samples.
     fn cross(&self, surface: &LevelSurface, first: usize, crossings: &mut [Crossing]) {
-        let mut scratch = Scratch::default();
+        let mut scratch = self.scratch();
         let mut searches: Vec<Search> = Vec::with_capacity(crossings.len());
         searches.extend(crossings.iter().enumerate().filter(|(_, crossing)| !crossing.on_box).map(|(i, crossing)| {
             let along = surface.edge(first + i).along;
@@ -329,7 +414,7 @@ pub fn planes_of_shape(
     level: f64,
     progress: &Progress,
 ) -> Result<(), Error> {
-    let tangents = Tangents::new(solid, level);
+    let tangents = Tangents::new(solid, level, surface.spacing());
     progress.set_total(crossings.len() as u64);
     crossings.par_chunks_mut(CHUNK).enumerate().try_for_each(|(i, chunk)| {
         tangents.cross(surface, i * CHUNK, chunk);
@@ -345,11 +430,11 @@ pub fn planes_around_of_shape(
     level: f64,
     progress: &Progress,
 ) -> Result<ExtraPlanes, Error> {
-    let tangents = Tangents::new(solid, level);
+    let tangents = Tangents::new(solid, level, surface.spacing());
     progress.set_total(surface.cell_count() as u64);
     let planes = surface.planes_around(
         crossings,
-        Scratch::default,
+        || tangents.scratch(),
         |scratch, places: &[DVec3; PROBES], _, _, found| {
             found.extend(tangents.planes(places, scratch).into_iter().flatten());
         },
@@ -357,7 +442,7 @@ pub fn planes_around_of_shape(
     )?;
     let step = NEAR_STEP * surface.spacing();
     let nearby = move |places: &[Place], found: &mut dyn FnMut(usize, DVec3, DVec3)| {
-        let mut scratch = Scratch::default();
+        let mut scratch = tangents.scratch();
         let mut smooth = Vec::with_capacity(places.len());
         for (i, place) in places.iter().enumerate() {
             if place.is_sharp {
@@ -462,7 +547,7 @@ mod tests {
         ];
         for text in shapes {
             let (solid, _) = turned(text);
-            let tangents = Tangents::new(&solid, 0.0);
+            let tangents = Tangents::new(&solid, 0.0, DVec3::splat(0.25));
             let mut random = crate::mesh::random::uniform(7);
             let points: Vec<DVec3> = (0..200).map(|_| DVec3::new(random(), random(), random()) * 2.0 - 1.0).collect();
             let values = solid.distances(&points, &Progress::new()).unwrap();
@@ -471,7 +556,7 @@ mod tests {
             for (points, (values, slopes)) in
                 points.chunks(POINTS).zip(values.chunks(POINTS).zip(slopes.chunks(POINTS)))
             {
-                let found = tangents.evaluate(points, &mut Scratch::default());
+                let found = tangents.evaluate(points, &mut tangents.scratch());
                 for ((value, slope), (expected, difference)) in found.into_iter().zip(values.iter().zip(slopes)) {
                     assert!((value - f64::from(*expected)).abs() <= 1e-6, "{text}");
                     // Differences are means of both sides within their step of a crease.
@@ -486,12 +571,12 @@ mod tests {
     fn points_where_lengths_vanish_have_the_gradient_beside_them() {
         // The distance to the side of a cone is a length that is zero on the surface; this cone is a cylinder.
         let (solid, _) = turned("(coninder 2 2 1)");
-        let tangents = Tangents::new(&solid, 0.0);
+        let tangents = Tangents::new(&solid, 0.0, DVec3::splat(0.25));
         let axis = DVec3::new(1.0, 2.0, 3.0).normalize();
         let turn = glam::DQuat::from_axis_angle(axis, 40f64.to_radians());
         for angle in 0..64 {
             let (sine, cosine) = f64::from(angle).sin_cos();
-            let (_, slope) = tangents.evaluate(&[turn * DVec3::new(cosine, sine, 0.0)], &mut Scratch::default())[0];
+            let (_, slope) = tangents.evaluate(&[turn * DVec3::new(cosine, sine, 0.0)], &mut tangents.scratch())[0];
             // The step aside is 1e-7 local units, 4e-7 world units.
             assert!((slope - turn * DVec3::new(cosine, sine, 0.0)).length() <= 1e-6, "{angle}");
         }

@@ -7,5 +7,6 @@ pub(crate) mod closed_form;
 pub(crate) mod decompose;
 pub(crate) mod octree;
 pub(crate) mod part;
+pub(crate) mod pruning;
 pub(crate) mod solid;
 pub(crate) mod trace;

@@ -164,9 +164,10 @@ impl Solid {
     }
 
     /// Samples of a block of a grid, `(side + 1)^3`, x fastest, from the sample `origin` on. A sample outside the grid
-    /// repeats the nearest one of the grid.
+    /// repeats the nearest one of the grid. `tokens` return the field in the block.
     pub(crate) fn samples_of_block(
         &self,
+        tokens: &[Token],
         grid: &Grid,
         side: usize,
         origin: [i32; 3],
@@ -190,7 +191,7 @@ impl Solid {
             for (i, place) in places.iter().enumerate() {
                 (0..3).for_each(|axis| at[axis][i] = place[axis]);
             }
-            let values = run_wide(&self.precise, &self.model.tokens, &at, stack);
+            let values = run_wide(&self.precise, tokens, &at, stack);
             for (out, value) in out.iter_mut().zip(values) {
                 *out = saturated(value * self.frame.scale);
             }
