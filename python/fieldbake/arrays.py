@@ -24,6 +24,7 @@ from .drawing.raymarching import raymarch as draw
 from .meshes.input_arrays import check_faces, check_vertices
 from .queries.common import Sign
 from .scenes.camera import Camera
+from .scenes.field_cache import forget
 from .volumes.stored_samples import check_distances
 from .volumes.volume import Volume
 
@@ -196,7 +197,10 @@ def raymarch(
     """
     box = np.array(_box(lower, upper))
     volume = Volume._wrap(check_distances(distances)[...], box, box.copy(), Report())
-    frame = draw(volume, Camera.from_pose(pose, fov_deg), size=size, device=device)
+    try:
+        frame = draw(volume, Camera.from_pose(pose, fov_deg), size=size, device=device)
+    finally:
+        forget(volume)
     return frame.color, frame.depth
 
 

@@ -1,5 +1,5 @@
 // Finds the field that each pixel shows. The box of each instance's surface is rasterised; a fragment traces the field
-// to the exact hit and writes its depth. Twin of `field` in src/scene/visibility/pixel_ray.rs.
+// to the exact hit and writes its depth. Twin of `field_hit` in src/scene/visibility/pixel_ray.rs.
 
 #import scene_view
 #import scene_objects

@@ -1,6 +1,6 @@
 // Finds the triangle that each pixel shows. Shading follows later, for the visible face of each pixel only. This pass
 // evaluates only the conditions of visibility: the side of the face and the alpha mask of its texture. Twin of
-// `triangle` in src/scene/visibility/pixel_ray.rs.
+// `test_triangles` in src/scene/visibility/pixel_ray.rs.
 
 #import scene_view
 

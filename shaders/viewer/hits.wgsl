@@ -1,8 +1,8 @@
 // Where rays meet the fields of a view, and their distances: one function for each kind of field. Rays and positions
 // are in field space; distances are in the field's own units.
 
-// The part of a ray between two corners of a box. It computes what `clip_between` does without a loop over the axes,
-// because software devices are slow at indices that vary.
+// The part of a ray between two corners of a box. Twin of `clip_to_box` in src/march/marcher.rs, without a loop over
+// the axes, because software devices are slow at indices that vary.
 fn clip_to_field(origin: vec3f, direction: vec3f, lower: vec3f, upper: vec3f) -> ClippedRay {
     var clipped: ClippedRay;
     clipped.enter_axis = NO_AXIS;

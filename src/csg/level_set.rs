@@ -169,7 +169,8 @@ impl Scratch {
     }
 }
 
-/// Buffers that return to the unused ones of a shape.
+/// Buffers of one thread. When they are dropped, they return to the unused ones, so that later evaluations find their
+/// tokens.
 struct Borrowed<'a> {
     tangents: &'a Tangents,
     scratch: Scratch,
@@ -202,7 +203,7 @@ struct Tangents {
     program: Program<Dual>,
     pruning: Pruning,
     level: f64,
-    /// Length of a voxel, local units.
+    /// Longest side of a voxel, local units.
     voxel: f64,
     /// Buffers that no thread uses at the moment, with the tokens that they have found.
     unused: Mutex<Vec<Scratch>>,
@@ -221,7 +222,7 @@ impl Tangents {
         self.unused.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Buffers, with the tokens of earlier evaluations if there are some.
+    /// Buffers of earlier evaluations, or new ones.
     fn scratch(&self) -> Borrowed<'_> {
         let unused = self.unused().pop();
         Borrowed { tangents: self, scratch: unused.unwrap_or_else(|| Scratch::new(self.voxel)) }
@@ -267,6 +268,7 @@ impl Tangents {
         found.map(Option::unwrap_or_default)
     }
 
+    /// [`Self::values`] with one list of tokens for all positions.
     fn values_together(&self, points: &[DVec3; POINTS], scratch: &mut Scratch) -> [(f64, DVec3); POINTS] {
         let (mut places, mut at) = ([[0.0; POINTS]; 3], [[Dual::default(); POINTS]; 3]);
         let (mut lower, mut upper) = (DVec3::INFINITY, DVec3::NEG_INFINITY);

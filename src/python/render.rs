@@ -15,8 +15,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::time::Instant;
 
-/// Draws the zero level set of a field on the CPU; `None` if `device` is a graphics device, unless it cannot draw the
-/// field of the filter.
+/// Draws the zero level set of a field on the CPU. Returns `None` if `device` is a graphics device and `filter` is
+/// "linear": a scene draws the field there.
 #[pyfunction]
 #[pyo3(signature = (distances, lower, upper, picture, *, filter="linear", scale=1.0, device="auto", progress=None))]
 pub(super) fn raymarch<'py>(

@@ -55,7 +55,7 @@ class Frame:
         Number of steps of all rays and cones of the pixel. Nodes of trees count on the CPU only.
     rays : (h, w) uint32 or None
         Number of rays and cones to lights and surroundings that were evaluated for the centre of the pixel: 0 where
-        its light is interpolated. None in pictures of :func:`raymarch`.
+        its light is interpolated. None where :func:`raymarch` draws an object by a pass of its own.
     report : mapping
         ``device``, ``seconds`` and other properties of the work.
 

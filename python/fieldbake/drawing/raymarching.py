@@ -90,7 +90,7 @@ def raymarch(
         Colour samples per pixel, a square number up to 64, as for :func:`render`. Higher values smooth edges.
     filter : "linear" or "nearest", default "linear"
         Interpolation between samples: trilinear or none.
-        ``"nearest"`` draws the voxels whose samples are not positive, as cubes or boxes.
+        ``"nearest"`` draws the voxels whose samples are not positive, as cubes or boxes, on the CPU.
     lights : sequence of DirectionalLight, PointLight and SpotLight, optional
         At most 16 lights. If not given, one white light of intensity 0.64 from above, over the viewer's right shoulder.
     ambient : float, optional

@@ -142,6 +142,12 @@ def of_geometry(
     return _keep(key, _field(geometry, divisor), geometry.nbytes, geometry)
 
 
+def forget(volume: Volume) -> None:
+    """Release the field of a volume that no later call can have."""
+    with _lock:
+        _kept.pop((type(volume), id(volume), None), None)
+
+
 def levels_of(field: Volume | NestedField) -> list[_core.SceneField]:
     """List the fields of the levels of a nested field, finest first, or the one field of a volume.
 

@@ -25,7 +25,8 @@ class QuantizedVolume(Volume):
     """A :class:`Volume` that stores its distances in 16 or 8 bits. Made by :meth:`Volume.quantize`.
 
     A stored magnitude never exceeds the true one, so rays do not pass through surfaces. ``.distances`` decodes all
-    samples to float32 at each use. Sampling and sphere tracing read the stored samples, on a graphics device too.
+    samples to float32 at each use. Sampling and ray marching on the CPU read the stored samples; a graphics
+    device receives float32.
 
     Examples
     --------

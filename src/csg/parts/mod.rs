@@ -5,6 +5,7 @@ pub(crate) mod cells;
 pub(crate) mod chord;
 pub(crate) mod closed_form;
 pub(crate) mod decompose;
+pub(crate) mod grid_samples;
 pub(crate) mod octree;
 pub(crate) mod part;
 pub(crate) mod pruning;

@@ -71,7 +71,7 @@ pub(crate) fn parts(solid: &Solid) -> Vec<Part> {
     let mut scratch = PruningScratch::default();
     let (middle, radius) = (tree.middle(root), tree.radius(root));
     scratch.evaluate(solid, &solid.model.tokens, &[middle]);
-    if tree.pruning.keep(solid, &solid.model.tokens, middle, radius, 0, &mut scratch) {
+    if tree.pruning.prune_at(solid, &solid.model.tokens, middle, radius, 0, &mut scratch) {
         let kept = std::mem::take(&mut scratch.kept);
         tree.visit(root, &kept, 0, &mut scratch, &mut cells);
     }
@@ -122,7 +122,7 @@ impl Octree<'_> {
         scratch.evaluate(self.solid, tokens, &middles);
         let mut kept: [Option<Vec<Token>>; BALLS] = Default::default();
         for (i, &child) in children.iter().enumerate() {
-            if self.pruning.keep(self.solid, tokens, middles[i], self.radius(child), i, scratch) {
+            if self.pruning.prune_at(self.solid, tokens, middles[i], self.radius(child), i, scratch) {
                 kept[i] = Some(scratch.kept.as_slice().into());
             }
         }

@@ -21,13 +21,14 @@ use rustc_hash::FxHashMap;
 pub(super) const PAD: f64 = 1e-4;
 /// Largest number of balls that are evaluated together.
 pub(super) const BALLS: usize = 8;
-/// Sides of the nested cells of [`NearTokens`], voxels. A cell is pruned from the tokens of the cell around it.
+/// Sides of the cells of [`NearTokens`], voxels. The tokens of a cell are pruned from the tokens of the larger cell
+/// around it.
 const SIDES: [i32; 3] = [64, 16, 4];
-/// Number of cells of a side in each of the next larger ones, along an axis.
+/// Ratio of consecutive [`SIDES`].
 const NESTED: i32 = 4;
-/// Largest number of cells of one side whose tokens are kept.
-const MOST_CELLS: usize = 1 << 15;
-/// Number of leaves from which on evaluations near each other share tokens.
+/// Largest number of tokens of the cells of one side, 8 MiB.
+const MOST_TOKENS: usize = 1 << 20;
+/// Least number of leaves of a shape whose evaluations use pruned tokens: with 20 leaves pruning saves no time.
 const MANY_LEAVES: usize = 24;
 
 /// The constants of a shape for pruning.
@@ -55,12 +56,12 @@ impl Pruning {
     /// around this one.
     fn prune(&self, solid: &Solid, tokens: &[Token], middle: DVec3, radius: f64, scratch: &mut PruningScratch) {
         scratch.evaluate(solid, tokens, &[middle]);
-        self.keep(solid, tokens, middle, radius + PAD, 0, scratch);
+        self.prune_at(solid, tokens, middle, radius + PAD, 0, scratch);
     }
 
     /// Stores the tokens that decide the field in a ball, local units, in `scratch.kept`. Ball `lane` of
     /// [`PruningScratch::evaluate`] has the distances at the centre. Returns whether the field may change its sign.
-    pub(super) fn keep(
+    pub(super) fn prune_at(
         &self,
         solid: &Solid,
         tokens: &[Token],
@@ -69,7 +70,7 @@ impl Pruning {
         lane: usize,
         scratch: &mut PruningScratch,
     ) -> bool {
-        let program = &solid.program;
+        let program = solid.precise();
         let PruningScratch { values, operands: stack, balls, kept, .. } = scratch;
         stack.clear();
         kept.clear();
@@ -81,7 +82,7 @@ impl Pruning {
             let (at, radius) = *balls.top();
             match token {
                 Token::Leaf(leaf) => {
-                    let distance = f64::from(values[leaf_count][lane]);
+                    let distance = values[leaf_count][lane];
                     leaf_count += 1;
                     let reach = radius * self.steepness[leaf as usize];
                     stack.push(BoundedOperand { low: distance - reach, high: distance + reach, start: kept.len() });
@@ -96,18 +97,18 @@ impl Pruning {
                     let operand = stack.top_mut();
                     match program.levels[i as usize] {
                         PlacedDistanceOp::Offset(distance) => {
-                            operand.low -= f64::from(distance);
-                            operand.high -= f64::from(distance);
+                            operand.low -= distance;
+                            operand.high -= distance;
                         }
                         PlacedDistanceOp::Shell(half) => {
                             let (low, high) = (operand.low, operand.high);
                             let nearest = if low <= 0.0 && high >= 0.0 { 0.0 } else { low.abs().min(high.abs()) };
-                            operand.low = nearest - f64::from(half);
-                            operand.high = low.abs().max(high.abs()) - f64::from(half);
+                            operand.low = nearest - half;
+                            operand.high = low.abs().max(high.abs()) - half;
                         }
                         PlacedDistanceOp::Times(factor) => {
-                            operand.low *= f64::from(factor);
-                            operand.high *= f64::from(factor);
+                            operand.low *= factor;
+                            operand.high *= factor;
                         }
                     }
                     kept.push(token);
@@ -143,15 +144,18 @@ pub(crate) struct NearTokens {
     voxel: f64,
     /// For each side the tokens of its cells.
     cells: [FxHashMap<IVec3, Vec<Token>>; SIDES.len()],
-    /// The tokens of one block.
-    of_block: Vec<Token>,
+    /// Number of tokens in the cells of each side.
+    counts: [usize; SIDES.len()],
+    /// The tokens of the last ball of [`Self::find_alone`].
+    of_ball: Vec<Token>,
     scratch: PruningScratch,
 }
 
 impl NearTokens {
     /// No tokens yet. `voxel` is the length of a voxel in local units.
     pub(crate) fn new(voxel: f64) -> Self {
-        Self { voxel, cells: Default::default(), of_block: Vec::new(), scratch: PruningScratch::default() }
+        let (cells, scratch) = (Default::default(), PruningScratch::default());
+        Self { voxel, cells, counts: [0; SIDES.len()], of_ball: Vec::new(), scratch }
     }
 
     /// Largest radius of a ball with the fewest tokens, local units.
@@ -192,9 +196,9 @@ impl NearTokens {
         }
         let mut scratch = std::mem::take(&mut self.scratch);
         pruning.prune(solid, self.find(pruning, solid, middle, radius), middle, radius, &mut scratch);
-        std::mem::swap(&mut self.of_block, &mut scratch.kept);
+        std::mem::swap(&mut self.of_ball, &mut scratch.kept);
         self.scratch = scratch;
-        &self.of_block
+        &self.of_ball
     }
 
     /// Finds the tokens of a cell and of the cells around it, if they are not known.
@@ -210,10 +214,12 @@ impl NearTokens {
         let side = f64::from(SIDES[level]) * self.voxel;
         let middle = (cell.as_dvec3() + 0.5) * side;
         pruning.prune(solid, tokens, middle, 0.5 * (3f64.sqrt() + 1.0) * side, &mut self.scratch);
-        let cells = &mut self.cells[level];
-        if cells.len() >= MOST_CELLS {
+        let (cells, count) = (&mut self.cells[level], &mut self.counts[level]);
+        if *count + self.scratch.kept.len() > MOST_TOKENS {
             cells.clear();
+            *count = 0;
         }
+        *count += self.scratch.kept.len();
         cells.insert(cell, self.scratch.kept.clone());
     }
 }
@@ -222,28 +228,28 @@ impl NearTokens {
 #[derive(Debug, Default)]
 pub(crate) struct PruningScratch {
     /// The distance to each leaf, in the order of the tokens, at the centre of each ball.
-    values: Vec<[f32; BALLS]>,
-    positions: OperandStack<[[f32; BALLS]; 3]>,
+    values: Vec<[f64; BALLS]>,
+    positions: OperandStack<[[f64; BALLS]; 3]>,
     operands: OperandStack<BoundedOperand>,
     balls: OperandStack<(DVec3, f64)>,
-    /// The tokens kept by [`Pruning::keep`].
+    /// The tokens kept by [`Pruning::prune_at`].
     pub(super) kept: Vec<Token>,
 }
 
 impl PruningScratch {
     /// Evaluates the distances to all leaves at the centres of up to [`BALLS`] balls, local units.
     pub(super) fn evaluate(&mut self, solid: &Solid, tokens: &[Token], points: &[DVec3]) {
-        let (program, scratch) = (&solid.program, self);
+        let (program, scratch) = (solid.precise(), self);
         let mut at = [[0.0; BALLS]; 3];
         for (i, point) in points.iter().enumerate() {
             for axis in 0..3 {
-                at[axis][i] = point[axis] as f32;
+                at[axis][i] = point[axis];
             }
         }
         scratch.values.clear();
         scratch.positions.clear();
         scratch.positions.push(at);
-        with_vectors!((program: &Program<f32> = program, tokens: &[Token] = tokens, scratch: &mut PruningScratch = scratch) {
+        with_vectors!((program: &Program<f64> = program, tokens: &[Token] = tokens, scratch: &mut PruningScratch = scratch) {
             for &token in tokens {
                 let at = scratch.positions.top();
                 match token {
@@ -271,9 +277,9 @@ struct BoundedOperand {
 }
 
 /// The ball in the space of a warp, and the factor by which the warp stretches it.
-fn entered(warp: &PlacedWarp<f32>, at: DVec3, radius: f64) -> (DVec3, f64) {
-    let position = at.to_array().map(|x| [x as f32]);
-    let [x, y, z] = warp.positions(&position).map(|x| f64::from(x[0]));
+fn entered(warp: &PlacedWarp<f64>, at: DVec3, radius: f64) -> (DVec3, f64) {
+    let position = at.to_array().map(|x| [x]);
+    let [x, y, z] = warp.positions(&position).map(|x| x[0]);
     let stretch = match warp.kind {
         PlacedWarpKind::Elongate(_) => 1.0,
         // The space of the selected copy is torn where another one is selected.
@@ -285,14 +291,14 @@ fn entered(warp: &PlacedWarp<f32>, at: DVec3, radius: f64) -> (DVec3, f64) {
             }
         }
         // The actual stretch over the ball, which may differ from the one that distances are divided by.
-        _ => 1.0 + f64::from(warp.rate) * (warp.radius_at(at) + radius),
+        _ => 1.0 + warp.rate * (warp.radius_at(at) + radius),
     };
     (DVec3::new(x, y, z), stretch)
 }
 
 /// Smallest and largest divisor of distances in a ball.
-fn stretches(warp: &PlacedWarp<f32>, at: DVec3, radius: f64) -> (f64, f64) {
-    let (rate, least) = (f64::from(warp.rate), f64::from(warp.radius));
+fn stretches(warp: &PlacedWarp<f64>, at: DVec3, radius: f64) -> (f64, f64) {
+    let (rate, least) = (warp.rate, warp.radius);
     let r = warp.radius_at(at);
     (1.0 + rate * (r - radius).max(least), 1.0 + rate * (r + radius).max(least))
 }
@@ -305,7 +311,7 @@ fn negate(operand: &mut BoundedOperand, kept: &mut Vec<Token>) {
 /// One operand if the other cannot determine the result, else both under the operator.
 fn combined(
     op: Op,
-    joint: Joint<f32>,
+    joint: Joint<f64>,
     is_swapped: bool,
     below: BoundedOperand,
     top: BoundedOperand,
@@ -324,8 +330,8 @@ fn combined(
     // Whether `far` is irrelevant beside `near` in a union.
     let is_beaten = |near: &BoundedOperand, far: &BoundedOperand| match joint {
         Joint::Sharp => far.low > near.high,
-        Joint::Smooth(k, _) => far.low > near.high + f64::from(k),
-        Joint::Chamfer(k) => far.low > near.high.max(f64::from(k) + (std::f64::consts::SQRT_2 - 1.0) * near.high),
+        Joint::Smooth(k, _) => far.low > near.high + k,
+        Joint::Chamfer(k) => far.low > near.high.max(k + (std::f64::consts::SQRT_2 - 1.0) * near.high),
     };
     // In an xor the farther operand must exceed the magnitude of the other, inside or outside.
     let size =
@@ -339,7 +345,7 @@ fn combined(
 
     if beaten(&first, &second) || drowned(&first, &second) {
         let is_inverted = drowned(&first, &second);
-        let mut remaining = keep(a, b, kept);
+        let mut remaining = drop_operand(a, b, kept);
         if is_inverted {
             negate(&mut remaining, kept);
         }
@@ -347,7 +353,7 @@ fn combined(
     }
     if beaten(&second, &first) || drowned(&second, &first) {
         let is_inverted = drowned(&second, &first) || op == Op::Difference;
-        let mut remaining = keep(b, a, kept);
+        let mut remaining = drop_operand(b, a, kept);
         if is_inverted {
             negate(&mut remaining, kept);
         }
@@ -361,10 +367,10 @@ fn combined(
         let at = |a: f64, b: f64| match joint {
             Joint::Sharp => a.min(b),
             Joint::Smooth(k, quarter) => {
-                let h = (f64::from(k) - (a - b).abs()).max(0.0);
-                a.min(b) - h * h * f64::from(quarter)
+                let h = (k - (a - b).abs()).max(0.0);
+                a.min(b) - h * h * quarter
             }
-            Joint::Chamfer(k) => a.min(b).min((a + b - f64::from(k)) * 0.5f64.sqrt()),
+            Joint::Chamfer(k) => a.min(b).min((a + b - k) * 0.5f64.sqrt()),
         };
         BoundedOperand { low: at(a.low, b.low), high: at(a.high, b.high), start }
     };
@@ -379,7 +385,7 @@ fn combined(
 }
 
 /// Drops the tokens of `gone`, which are adjacent to the tokens of `remaining`.
-fn keep(remaining: BoundedOperand, gone: BoundedOperand, kept: &mut Vec<Token>) -> BoundedOperand {
+fn drop_operand(remaining: BoundedOperand, gone: BoundedOperand, kept: &mut Vec<Token>) -> BoundedOperand {
     if gone.start > remaining.start {
         kept.truncate(gone.start);
         remaining
@@ -406,6 +412,8 @@ mod tests {
                 let [x, y, z] = [random(), random(), random()].map(|x| 2.0 * x - 1.0);
                 text = format!("({joint} {text} (move {x} {y} {z} {}))", leaves[i % leaves.len()]);
             }
+            // A leaf far larger than the shape, whose values float32 rounds by 1e-3.
+            let text = format!("(inter {text} (move 0 0 -10000 (sphere 20000)))");
             let solid = Solid::new(&parse(&text).unwrap()).unwrap();
             let (pruning, voxel) = (Pruning::new(&solid), 0.02);
             let mut near = NearTokens::new(voxel);

@@ -1,4 +1,4 @@
-//! A shape prepared for evaluation: distances, gradients, colours, samples on a grid.
+//! A shape prepared for evaluation: distances, gradients, colours.
 //!
 //! Queries run in float64 and are rounded once. Grids and pictures run in float32, in local units, where it is accurate
 //! to about 1e-7 of the model's size at any position. Batches of 64 points are distributed to all cores.
@@ -12,8 +12,7 @@ use crate::csg::model::token::Token;
 use crate::csg::tree::primitive::Primitive;
 use crate::csg::tree::shape::Shape;
 use crate::error::{Error, ShapeError};
-use crate::grid::Grid;
-use crate::memory::{allocate_samples, zeroed_rows};
+use crate::memory::zeroed_rows;
 use crate::progress::Progress;
 use crate::simd::with_vectors;
 use bytemuck::Zeroable;
@@ -163,66 +162,6 @@ impl Solid {
         Ok(out)
     }
 
-    /// Samples of a block of a grid, `(side + 1)^3`, x fastest, from the sample `origin` on. A sample outside the grid
-    /// repeats the nearest one of the grid. `tokens` return the field in the block.
-    pub(crate) fn samples_of_block(
-        &self,
-        tokens: &[Token],
-        grid: &Grid,
-        side: usize,
-        origin: [i32; 3],
-        stack: &mut Stack<f64, LANES>,
-        samples: &mut [f32],
-    ) {
-        let n = side + 1;
-        let local = |i: usize| {
-            let clamped = |axis: usize| (origin[axis] + i as i32).clamp(0, grid.shape[axis] as i32 - 1) as usize;
-            self.frame.local(grid.center(clamped(0), clamped(1), clamped(2))).to_array()
-        };
-        let along: Vec<[f64; 3]> = (0..n).map(local).collect();
-        let mut places: Vec<[f64; 3]> = Vec::with_capacity(samples.len());
-        for [_, _, z] in &along {
-            for [_, y, _] in &along {
-                places.extend(along.iter().map(|[x, ..]| [*x, *y, *z]));
-            }
-        }
-        for (places, out) in places.chunks(LANES).zip(samples.chunks_mut(LANES)) {
-            let mut at = [[0.0; LANES]; 3];
-            for (i, place) in places.iter().enumerate() {
-                (0..3).for_each(|axis| at[axis][i] = place[axis]);
-            }
-            let values = run_wide(&self.precise, tokens, &at, stack);
-            for (out, value) in out.iter_mut().zip(values) {
-                *out = saturated(value * self.frame.scale);
-            }
-        }
-    }
-
-    /// Samples at the voxel centres of a grid, x fastest.
-    pub fn bake(&self, grid: &Grid, progress: &Progress) -> Result<Vec<f32>, Error> {
-        let [nx, ny, nz] = grid.shape;
-        let what = format!("a field of {nx} x {ny} x {nz} samples");
-        let mut samples = allocate_samples(&what, grid.len(), 0)?;
-        progress.set_total((ny * nz) as u64);
-        let along_x: Vec<f32> = (0..nx).map(|x| self.frame.local(grid.center(x, 0, 0)).x as f32).collect();
-        samples.par_chunks_mut(nx).enumerate().try_for_each_init(
-            Stack::<f32, LANES>::default,
-            |stack, (row, samples)| {
-                let start = self.frame.local(grid.center(0, row % ny, row / ny));
-                for (first, out) in (0..nx).step_by(LANES).zip(samples.chunks_mut(LANES)) {
-                    let mut at = [[0.0; LANES], [start.y as f32; LANES], [start.z as f32; LANES]];
-                    at[0][..out.len()].copy_from_slice(&along_x[first..first + out.len()]);
-                    let values = run_wide(&self.program, &self.model.tokens, &at, stack);
-                    for (out, value) in out.iter_mut().zip(values) {
-                        *out = saturated(f64::from(value) * self.frame.scale);
-                    }
-                }
-                progress.advance(1)
-            },
-        )?;
-        Ok(samples)
-    }
-
     /// Linear RGB of the surface near a world point; `None` where it is not painted.
     pub fn color(&self, p: DVec3) -> Option<[f32; 3]> {
         self.precise.color(&self.model, &self.model.tokens, self.frame.local(p).to_array())
@@ -240,7 +179,7 @@ impl Solid {
 }
 
 /// Converts to float32 and keeps the value finite: the distance to an empty solid is the largest float.
-fn saturated(value: f64) -> f32 {
+pub(super) fn saturated(value: f64) -> f32 {
     value.clamp(-f64::from(f32::MAX), f64::from(f32::MAX)) as f32
 }
 

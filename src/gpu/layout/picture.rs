@@ -1,4 +1,4 @@
-//! Structs of pictures of fields, and of packing and copying.
+//! Structs of packing, and of the rays and lights of pictures.
 
 gpu_structs! {
     /// `shaders/atlas/atlas_pack.wgsl`.

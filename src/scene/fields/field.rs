@@ -123,8 +123,8 @@ pub trait Field: Send + Sync {
         Ok(false)
     }
 
-    /// The depths between which the rays of a picture of about `pixels` pixels can meet the surface; `None` if the
-    /// field does not know them, or if they would take longer than the rays.
+    /// The depths between which the surface lies on the rays of a picture, whose box covers about `pixels` pixels.
+    /// `None` for a kind without blocks, or if the search for the depths takes longer than it saves.
     fn tiles(&self, _camera: &GridCamera, _pixels: usize, _progress: &Progress) -> Result<Option<Tiles>, Error> {
         Ok(None)
     }

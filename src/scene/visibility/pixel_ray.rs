@@ -125,7 +125,8 @@ pub(crate) struct PixelRay<'a> {
     y: u32,
     /// For each instance, whether the search tests it; None if it tests all.
     pub searched: Option<&'a [bool]>,
-    /// For each instance, the depths between which the ray can meet its field, if they are known.
+    /// For each instance, the depths between which its surface lies on the rays of each tile; `None` if they were not
+    /// computed.
     tiles: Option<&'a [Option<Tiles>]>,
     /// The instance that the search tests, if it is only one: boxes are not tested then.
     only: Option<u32>,
@@ -135,8 +136,8 @@ pub(crate) struct PixelRay<'a> {
 }
 
 impl<'a> PixelRay<'a> {
-    /// Limits the search to some instances; `None` tests all of them.
-    pub(crate) fn search(&mut self, searched: Option<&'a SearchedInstances>) {
+    /// Limits the tested instances to the searched ones; `None` tests all.
+    pub(crate) fn limit_to(&mut self, searched: Option<&'a SearchedInstances>) {
         self.searched = searched.map(|searched| &searched.is_searched[..]);
         self.tiles = searched.map(|searched| &searched.tiles[..]);
         self.only = searched.and_then(SearchedInstances::only);

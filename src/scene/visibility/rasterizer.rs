@@ -15,7 +15,8 @@
 //!
 //! Meshes with a mask or a translucent material, strongly stretched ones, and those with more than [`FACES_PER_PIXEL`]
 //! faces per pixel of their rectangle on the screen are left to the search, as are all fields, and all meshes if the
-//! rays are parallel. The rasteriser computes the pixels that their boxes cover, so that no ray is traced elsewhere.
+//! rays are parallel. Rays are traced in the pixels that their boxes cover, or for large fields in the tiles of their
+//! surface ([`super::searched`]).
 //! Rows are drawn in bands, in parallel.
 
 use super::gbuffer::{Layer, View};
@@ -116,7 +117,7 @@ impl<'a> Rasterizer<'a> {
             if !screen.is_parallel && is_rasterised(scene, instance, options, FACES_PER_PIXEL * pixels) {
                 drawn.push(i as u32);
             } else {
-                let tiles = match as_triangles(instance, options.primary) {
+                let tiles = match as_triangles(instance, options.primary) || !searched.may_have_more_tiles() {
                     true => None,
                     false => tiles_of(scene, instance, view, pixels, progress)?,
                 };
@@ -174,7 +175,7 @@ impl<'a> Rasterizer<'a> {
             return;
         }
         let first = layers.len();
-        ray.search(Some(&self.searched));
+        ray.limit_to(Some(&self.searched));
         ray.trace(layers, behind);
         // At equal depths the order of the search decides.
         let is_tie = |layer: &Layer| {
@@ -182,7 +183,7 @@ impl<'a> Rasterizer<'a> {
         };
         if layers[first..].iter().any(is_tie) {
             layers.truncate(first);
-            ray.search(None);
+            ray.limit_to(None);
             ray.trace(layers, None);
         }
     }

@@ -11,22 +11,26 @@ use std::ops::Range;
 /// Half-open ranges of columns and rows.
 pub(crate) type PixelRectangle = [Range<u32>; 2];
 
-/// Depths of tiles are found for a field whose box covers at least one pixel of the picture in this number, because its
-/// tiles cover all of the picture.
+/// Tiles are computed for a field whose box covers at least 1 / LARGE of the pixels, because tiles always cover the
+/// whole picture.
 const LARGE: usize = 16;
+
+/// Largest number of fields with tiles in a picture. The tiles of a field take one byte for each pixel.
+const MOST_TILED: usize = 32;
 
 /// The instances that the rays of a picture search.
 pub(crate) struct SearchedInstances {
     /// For each instance, whether rays search it.
     pub is_searched: Vec<bool>,
-    /// For each instance, the depths between which rays can meet its field, if they are known.
+    /// For each instance, the depths between which its surface lies on the rays of each tile; `None` if they were not
+    /// computed.
     pub tiles: Vec<Option<Tiles>>,
     /// The searched instances, each with the rectangle of its box on the screen.
     rectangles: Vec<(usize, PixelRectangle)>,
 }
 
 impl SearchedInstances {
-    /// None of a number of instances.
+    /// A list of `count` instances, none of which is searched.
     pub(crate) fn new(count: usize) -> Self {
         let tiles = std::iter::repeat_with(|| None).take(count).collect();
         Self { is_searched: vec![false; count], tiles, rectangles: Vec::new() }
@@ -39,7 +43,12 @@ impl SearchedInstances {
         self.rectangles.push((item, rectangle));
     }
 
-    /// The instance, if there is only one.
+    /// Whether another field may have tiles.
+    pub(crate) fn may_have_more_tiles(&self) -> bool {
+        self.tiles.iter().flatten().count() < MOST_TILED
+    }
+
+    /// The only searched instance; `None` if there are several, or none.
     pub(crate) fn only(&self) -> Option<u32> {
         if let [(item, _)] = self.rectangles[..] { Some(item as u32) } else { None }
     }
@@ -61,8 +70,8 @@ impl SearchedInstances {
     }
 }
 
-/// The depths between which the rays through the centres of pixels can meet the field of an instance, whose box covers
-/// about `pixels` of them.
+/// The depths between which the surface of a field lies on the rays through the centres of pixels. The box of the field
+/// covers about `pixels` of them.
 pub(crate) fn tiles_of(
     scene: &Scene,
     instance: &Instance,
@@ -140,17 +149,20 @@ mod tests {
                     true => Camera::orthographic(&pose, 3.0 * unit),
                     false => Camera::from_pose(&pose, if away > 10.0 { 0.5 } else { 50.0 }),
                 };
-                compare(&scene, &camera.unwrap(), unit);
+                compare(&scene, &camera.unwrap(), unit, away < 1.0);
             }
         }
     }
 
-    /// Compares the layers of a picture with the layers of searches without tiles.
-    fn compare(scene: &Scene, camera: &Camera, unit: f64) {
+    /// Compares the layers of a picture with the layers of searches without tiles. Rays begin at an eye that `is_near`.
+    fn compare(scene: &Scene, camera: &Camera, unit: f64, is_near: bool) {
         let options = RenderOptions { size: SIZE, primary: Primary::Raymarch, ..RenderOptions::default() };
         let drawn = draw(scene, camera, &options, [0.5; 2], None, &Progress::new()).unwrap();
         let view = View { camera: *camera, size: SIZE, offset: [0.5; 2] };
-        assert!(tiles_of(scene, &scene.instances[0], &view, 2000, &Progress::new()).unwrap().is_some());
+        let tiles = tiles_of(scene, &scene.instances[0], &view, 2000, &Progress::new()).unwrap().unwrap();
+        let is_shortened = |x, y| tiles.depths(x, y).is_none_or(|[near, _]| near > 0.0);
+        let [width, height] = SIZE.map(|n| n as usize);
+        assert!(is_near || (0..height).any(|y| (0..width).any(|x| is_shortened(x, y))));
         let mut count = 0;
         for y in 0..SIZE[1] {
             let (searched, _) = draw_row(scene, &options, &view, y, |ray, layers| ray.trace(layers, None));

@@ -11,7 +11,7 @@
 
 const LEVEL_NUMBERS: u32 = 12u;
 
-// Number k of three numbers of a level: 0 its scale, 1 its offset, 2 and 3 the corners of its region.
+// Vector k of a level: 0 scale, 1 offset, 2 lower corner, 3 upper corner of its region.
 fn level_triple(field: SceneField, level: u32, k: u32) -> vec3f {
     let first = field.first_sample + LEVEL_NUMBERS * level + 3u * k;
     return vec3f(samples[first], samples[first + 1u], samples[first + 2u]);
