@@ -14,7 +14,7 @@ use super::between_samples::{
 use crate::csg::evaluation::active_operands::ActiveTokens;
 use crate::csg::evaluation::dual::{ASIDE, Dual};
 use crate::csg::evaluation::program::{Program, Stack};
-use crate::csg::parts::pruning::{NearTokens, Pruning};
+use crate::csg::parts::pruning::{Ball, NearTokens, Pruning};
 use crate::csg::parts::solid::{LANES, Solid, run_wide};
 use crate::error::Error;
 use crate::grid::Grid;
@@ -127,7 +127,7 @@ fn level_surface_and_joints(
     let radius = half * grid.spacing().length() / solid.frame.scale;
     let fill = |(stack, near): &mut (Stack<f64, LANES>, NearTokens), origin: [i32; 3], samples: &mut [f32]| {
         let middle = grid.lower + (IVec3::from(origin).as_dvec3() + half + 0.5) * grid.spacing();
-        let tokens = near.find_alone(&pruning, solid, solid.frame.local(middle), radius);
+        let tokens = near.find_alone(&pruning, solid, Ball { middle: solid.frame.local(middle), radius });
         solid.samples_of_block(tokens, grid, SIDE, origin, stack, samples);
         // As in the block, a place outside the grid is moved to the nearest sample of the grid.
         let most = (shape - 1).as_dvec3();
@@ -279,7 +279,7 @@ impl Tangents {
             (0..3).for_each(|axis| (places[axis][i], at[axis][i]) = (local[axis], dual[axis]));
         }
         let Scratch { stack, near, deciding } = scratch;
-        let mut tokens = near.find(&self.pruning, &self.solid, 0.5 * (lower + upper), 0.5 * (upper - lower).length());
+        let mut tokens = near.find(&self.pruning, &self.solid, Ball::around(lower, upper));
         if !self.program.combines.is_empty() {
             tokens = deciding.find(self.solid.precise(), tokens, &places);
         }

@@ -1,7 +1,7 @@
 // Distances and gradients of sampled fields, inside and outside their grids. Twin of `SampledField` in
 // src/scene/fields/field.rs.
 
-#import scene_samples
+#import scene_levels
 
 // The point of the grid's box that is nearest to `p`. Grid space.
 fn into_data(field: SceneField, p: vec3f) -> vec3f {
@@ -22,22 +22,26 @@ fn distance_beyond(field: SceneField, p: vec3f, b: vec3f, s: f32) -> f32 {
 
 // Distance in the object's units. Outside the grid it is a lower bound.
 fn sampled_distance(field: SceneField, p: vec3f) -> f32 {
-    let b = into_data(field, p);
-    return distance_beyond(field, p, b, sample_in_data(field, b));
+    let at = at_level(field, p);
+    let b = into_data(at.field, at.p);
+    return distance_beyond(at.field, at.p, b, sample_in_data(at.field, b));
 }
 
-fn sampled_gradient(field: SceneField, point: vec3f) -> vec3f {
-    let last = vec3f(field.shape) - 0.5;
+fn sampled_gradient(field: SceneField, p: vec3f) -> vec3f {
+    let at = at_level(field, p);
+    let last = vec3f(at.field.shape) - 0.5;
     let low = min(vec3f(0.5), last - 1.0);
-    let p = min(max(point, low), max(last - 1.0, low));
-    let slope = slope_in_data(field, p) / field.spacing;
+    let slope = slope_in_data(at.field, min(max(at.p, low), max(last - 1.0, low))) / at.field.spacing;
     let largest = max(abs(slope.x), max(abs(slope.y), abs(slope.z)));
     if largest == 0.0 { return vec3f(0.0); }
     return normalize(slope / largest);
 }
 
 // An estimate of the distance, closer than the lower bound `distance` outside the grid.
-fn sampled_guess(field: SceneField, p: vec3f, distance: f32) -> f32 {
+fn sampled_guess(whole: SceneField, point: vec3f, distance: f32) -> f32 {
+    let at = at_level(whole, point);
+    let field = at.field;
+    let p = at.p;
     let b = into_data(field, p);
     let is_inside = all(p == b);
     // The field is linear along an axis in its cell, so the farther face of the cell gives the slope.

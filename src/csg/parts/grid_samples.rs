@@ -1,6 +1,6 @@
 //! Samples of a shape on grids. Blocks of a grid evaluate the leaves near them alone ([`super::pruning`]).
 
-use super::pruning::{NearTokens, Pruning};
+use super::pruning::{Ball, NearTokens, Pruning};
 use super::solid::{LANES, Solid, run_wide, saturated};
 use crate::csg::evaluation::program::Stack;
 use crate::csg::model::token::Token;
@@ -80,7 +80,7 @@ impl Solid {
                     let corner =
                         |end: fn(&[f64]) -> Option<&f64>| DVec3::from(places.map(|along| *end(along).unwrap_or(&0.0)));
                     let (lower, upper) = (corner(<[f64]>::first), corner(<[f64]>::last));
-                    let tokens = near.find_alone(&pruning, self, 0.5 * (lower + upper), 0.5 * (upper - lower).length());
+                    let tokens = near.find_alone(&pruning, self, Ball::around(lower, upper));
                     for (layer, &z) in places[2].iter().enumerate() {
                         let rows = &mut samples[nx * (y + ny * layer)..];
                         self.fill_layer(tokens, places, z, stack, rows.chunks_mut(nx).map(|row| &mut row[x..end_x]));

@@ -12,7 +12,7 @@
 
 use super::chord::PartKind;
 use super::part::{Part, grouped};
-use super::pruning::{BALLS, PAD, Pruning, PruningScratch};
+use super::pruning::{BALLS, Ball, PAD, Pruning, PruningScratch};
 use super::solid::Solid;
 use crate::csg::model::lowered::Model;
 use crate::csg::model::token::Token;
@@ -71,7 +71,7 @@ pub(crate) fn parts(solid: &Solid) -> Vec<Part> {
     let mut scratch = PruningScratch::default();
     let (middle, radius) = (tree.middle(root), tree.radius(root));
     scratch.evaluate(solid, &solid.model.tokens, &[middle]);
-    if tree.pruning.prune_at(solid, &solid.model.tokens, middle, radius, 0, &mut scratch) {
+    if tree.pruning.prune_at(solid, &solid.model.tokens, Ball { middle, radius }, 0, &mut scratch) {
         let kept = std::mem::take(&mut scratch.kept);
         tree.visit(root, &kept, 0, &mut scratch, &mut cells);
     }
@@ -122,7 +122,8 @@ impl Octree<'_> {
         scratch.evaluate(self.solid, tokens, &middles);
         let mut kept: [Option<Vec<Token>>; BALLS] = Default::default();
         for (i, &child) in children.iter().enumerate() {
-            if self.pruning.prune_at(self.solid, tokens, middles[i], self.radius(child), i, scratch) {
+            let ball = Ball { middle: middles[i], radius: self.radius(child) };
+            if self.pruning.prune_at(self.solid, tokens, ball, i, scratch) {
                 kept[i] = Some(scratch.kept.as_slice().into());
             }
         }

@@ -31,6 +31,20 @@ const MOST_TOKENS: usize = 1 << 20;
 /// Least number of leaves of a shape whose evaluations use pruned tokens: with 20 leaves pruning saves no time.
 const MANY_LEAVES: usize = 24;
 
+/// A ball in local units.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Ball {
+    pub middle: DVec3,
+    pub radius: f64,
+}
+
+impl Ball {
+    /// The ball around the box between two corners.
+    pub(crate) fn around(lower: DVec3, upper: DVec3) -> Self {
+        Self { middle: 0.5 * (lower + upper), radius: 0.5 * (upper - lower).length() }
+    }
+}
+
 /// The constants of a shape for pruning.
 #[derive(Debug)]
 pub(crate) struct Pruning {
@@ -54,9 +68,9 @@ impl Pruning {
 
     /// Stores the tokens that decide the field in a ball, local units, in `scratch.kept`. `tokens` decide it in a ball
     /// around this one.
-    fn prune(&self, solid: &Solid, tokens: &[Token], middle: DVec3, radius: f64, scratch: &mut PruningScratch) {
-        scratch.evaluate(solid, tokens, &[middle]);
-        self.prune_at(solid, tokens, middle, radius + PAD, 0, scratch);
+    fn prune(&self, solid: &Solid, tokens: &[Token], ball: Ball, scratch: &mut PruningScratch) {
+        scratch.evaluate(solid, tokens, &[ball.middle]);
+        self.prune_at(solid, tokens, Ball { radius: ball.radius + PAD, ..ball }, 0, scratch);
     }
 
     /// Stores the tokens that decide the field in a ball, local units, in `scratch.kept`. Ball `lane` of
@@ -65,8 +79,7 @@ impl Pruning {
         &self,
         solid: &Solid,
         tokens: &[Token],
-        middle: DVec3,
-        radius: f64,
+        ball: Ball,
         lane: usize,
         scratch: &mut PruningScratch,
     ) -> bool {
@@ -76,15 +89,15 @@ impl Pruning {
         kept.clear();
         // Centre and radius in the space of each open warp.
         balls.clear();
-        balls.push((middle, radius));
+        balls.push(ball);
         let mut leaf_count = 0;
         for &token in tokens {
-            let (at, radius) = *balls.top();
+            let ball = *balls.top();
             match token {
                 Token::Leaf(leaf) => {
                     let distance = values[leaf_count][lane];
                     leaf_count += 1;
-                    let reach = radius * self.steepness[leaf as usize];
+                    let reach = ball.radius * self.steepness[leaf as usize];
                     stack.push(BoundedOperand { low: distance - reach, high: distance + reach, start: kept.len() });
                     kept.push(token);
                 }
@@ -116,15 +129,13 @@ impl Pruning {
                 Token::Complement => negate(stack.top_mut(), kept),
                 Token::Enter(i) => {
                     let warp = &program.warps[i as usize];
-                    let (inside, farthest) = entered(warp, at, radius);
-                    balls.push((inside, radius * farthest));
+                    balls.push(entered(warp, ball));
                     kept.push(token);
                 }
                 Token::Leave(i) => {
                     balls.pop();
-                    let (at, radius) = *balls.top();
                     let operand = stack.top_mut();
-                    let (least, most) = stretches(&program.warps[i as usize], at, radius);
+                    let (least, most) = stretches(&program.warps[i as usize], *balls.top());
                     operand.low /= if operand.low > 0.0 { most } else { least };
                     operand.high /= if operand.high > 0.0 { least } else { most };
                     // The `Enter` before it belongs to it.
@@ -164,18 +175,12 @@ impl NearTokens {
     }
 
     /// Tokens that return the field of the shape, bit for bit, in a ball around a place, local units.
-    pub(crate) fn find<'a>(
-        &'a mut self,
-        pruning: &Pruning,
-        solid: &'a Solid,
-        middle: DVec3,
-        radius: f64,
-    ) -> &'a [Token] {
+    pub(crate) fn find<'a>(&'a mut self, pruning: &Pruning, solid: &'a Solid, ball: Ball) -> &'a [Token] {
         // A cell has the tokens for all balls around its places with up to half its side.
-        let fits = |side: &i32| pruning.has_many_leaves && 2.0 * radius <= f64::from(*side) * self.voxel;
+        let fits = |side: &i32| pruning.has_many_leaves && 2.0 * ball.radius <= f64::from(*side) * self.voxel;
         match SIDES.iter().rposition(fits) {
             Some(level) => {
-                let cell = (middle / (f64::from(SIDES[level]) * self.voxel)).floor().as_ivec3();
+                let cell = (ball.middle / (f64::from(SIDES[level]) * self.voxel)).floor().as_ivec3();
                 self.fill(pruning, solid, level, cell);
                 &self.cells[level][&cell]
             }
@@ -184,18 +189,12 @@ impl NearTokens {
     }
 
     /// [`Self::find`] for the ball alone, which takes longer and leaves fewer tokens.
-    pub(crate) fn find_alone<'a>(
-        &'a mut self,
-        pruning: &Pruning,
-        solid: &'a Solid,
-        middle: DVec3,
-        radius: f64,
-    ) -> &'a [Token] {
+    pub(crate) fn find_alone<'a>(&'a mut self, pruning: &Pruning, solid: &'a Solid, ball: Ball) -> &'a [Token] {
         if !pruning.has_many_leaves {
             return &solid.model.tokens;
         }
         let mut scratch = std::mem::take(&mut self.scratch);
-        pruning.prune(solid, self.find(pruning, solid, middle, radius), middle, radius, &mut scratch);
+        pruning.prune(solid, self.find(pruning, solid, ball), ball, &mut scratch);
         std::mem::swap(&mut self.of_ball, &mut scratch.kept);
         self.scratch = scratch;
         &self.of_ball
@@ -212,8 +211,8 @@ impl NearTokens {
         }
         let tokens = outer.map_or(&solid.model.tokens[..], |(level, cell)| &self.cells[level][&cell]);
         let side = f64::from(SIDES[level]) * self.voxel;
-        let middle = (cell.as_dvec3() + 0.5) * side;
-        pruning.prune(solid, tokens, middle, 0.5 * (3f64.sqrt() + 1.0) * side, &mut self.scratch);
+        let ball = Ball { middle: (cell.as_dvec3() + 0.5) * side, radius: 0.5 * (3f64.sqrt() + 1.0) * side };
+        pruning.prune(solid, tokens, ball, &mut self.scratch);
         let (cells, count) = (&mut self.cells[level], &mut self.counts[level]);
         if *count + self.scratch.kept.len() > MOST_TOKENS {
             cells.clear();
@@ -231,7 +230,7 @@ pub(crate) struct PruningScratch {
     values: Vec<[f64; BALLS]>,
     positions: OperandStack<[[f64; BALLS]; 3]>,
     operands: OperandStack<BoundedOperand>,
-    balls: OperandStack<(DVec3, f64)>,
+    balls: OperandStack<Ball>,
     /// The tokens kept by [`Pruning::prune_at`].
     pub(super) kept: Vec<Token>,
 }
@@ -276,8 +275,8 @@ struct BoundedOperand {
     start: usize,
 }
 
-/// The ball in the space of a warp, and the factor by which the warp stretches it.
-fn entered(warp: &PlacedWarp<f64>, at: DVec3, radius: f64) -> (DVec3, f64) {
+/// A ball around the image of a ball in the space of a warp.
+fn entered(warp: &PlacedWarp<f64>, Ball { middle: at, radius }: Ball) -> Ball {
     let position = at.to_array().map(|x| [x]);
     let [x, y, z] = warp.positions(&position).map(|x| x[0]);
     let stretch = match warp.kind {
@@ -293,11 +292,11 @@ fn entered(warp: &PlacedWarp<f64>, at: DVec3, radius: f64) -> (DVec3, f64) {
         // The actual stretch over the ball, which may differ from the one that distances are divided by.
         _ => 1.0 + warp.rate * (warp.radius_at(at) + radius),
     };
-    (DVec3::new(x, y, z), stretch)
+    Ball { middle: DVec3::new(x, y, z), radius: radius * stretch }
 }
 
 /// Smallest and largest divisor of distances in a ball.
-fn stretches(warp: &PlacedWarp<f64>, at: DVec3, radius: f64) -> (f64, f64) {
+fn stretches(warp: &PlacedWarp<f64>, Ball { middle: at, radius }: Ball) -> (f64, f64) {
     let (rate, least) = (warp.rate, warp.radius);
     let r = warp.radius_at(at);
     (1.0 + rate * (r - radius).max(least), 1.0 + rate * (r + radius).max(least))
@@ -398,6 +397,7 @@ fn drop_operand(remaining: BoundedOperand, gone: BoundedOperand, kept: &mut Vec<
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::csg::evaluation::dual::Dual;
     use crate::csg::evaluation::program::Stack;
     use crate::csg::parts::solid::run_wide;
     use crate::csg::text::language::parse;
@@ -416,6 +416,7 @@ mod tests {
             let text = format!("(inter {text} (move 0 0 -10000 (sphere 20000)))");
             let solid = Solid::new(&parse(&text).unwrap()).unwrap();
             let (pruning, voxel) = (Pruning::new(&solid), 0.02);
+            let with_gradients = Program::<Dual>::new(&solid.model, solid.frame);
             let mut near = NearTokens::new(voxel);
             let mut shorter = 0;
             for i in 0..300 {
@@ -424,12 +425,18 @@ mod tests {
                 let at: [[f64; 8]; 3] = std::array::from_fn(|axis| {
                     std::array::from_fn(|_| place[axis] + (2.0 * random() - 1.0) * radius / 3f64.sqrt())
                 });
+                let dual: [[Dual; 8]; 3] = std::array::from_fn(|axis| {
+                    std::array::from_fn(|i| Dual::position(DVec3::new(at[0][i], at[1][i], at[2][i]))[axis])
+                });
                 let all = run_wide(solid.precise(), &solid.model.tokens, &at, &mut Stack::default());
-                let tokens = near.find(&pruning, &solid, place, radius).to_vec();
-                let alone = near.find_alone(&pruning, &solid, place, radius).to_vec();
+                let tokens = near.find(&pruning, &solid, Ball { middle: place, radius }).to_vec();
+                let alone = near.find_alone(&pruning, &solid, Ball { middle: place, radius }).to_vec();
                 for tokens in [tokens, alone] {
                     let some = run_wide(solid.precise(), &tokens, &at, &mut Stack::default());
                     assert_eq!(all.map(f64::to_bits), some.map(f64::to_bits), "{joint} at {place}");
+                    let [whole, part] = [&solid.model.tokens, &tokens]
+                        .map(|tokens| run_wide(&with_gradients, tokens, &dual, &mut Stack::default()));
+                    assert!(whole.iter().zip(&part).all(|(a, b)| a.slope == b.slope), "{joint} at {place}");
                     shorter += usize::from(2 * tokens.len() < solid.model.tokens.len());
                 }
             }

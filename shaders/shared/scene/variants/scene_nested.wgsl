@@ -7,7 +7,7 @@
 //   3..5    offset of the map
 //   6..11   lower and upper corner of the region of the level, in its grid space
 
-#import scene_sampled
+#import scene_samples
 
 const LEVEL_NUMBERS: u32 = 12u;
 
@@ -69,7 +69,7 @@ struct InLevel {
     p: vec3f,
 }
 
-// The level of a point, and the point in its grid space. A field of one grid has one level.
+// The grid that has the samples at a point, and the point in its grid space. A field of one grid has one level.
 fn at_level(field: SceneField, p: vec3f) -> InLevel {
     if field.kind != KIND_NESTED { return InLevel(field, p); }
     let level = level_of(field, p);
@@ -79,19 +79,4 @@ fn at_level(field: SceneField, p: vec3f) -> InLevel {
 fn levels_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 {
     if field.kind == KIND_NESTED { return nested_hit(field, origin, along, t_max); }
     return sampled_hit(field, origin, along, t_max);
-}
-
-fn levels_distance(field: SceneField, p: vec3f) -> f32 {
-    let at = at_level(field, p);
-    return sampled_distance(at.field, at.p);
-}
-
-fn levels_guess(field: SceneField, p: vec3f, distance: f32) -> f32 {
-    let at = at_level(field, p);
-    return sampled_guess(at.field, at.p, distance);
-}
-
-fn levels_gradient(field: SceneField, p: vec3f) -> vec3f {
-    let at = at_level(field, p);
-    return sampled_gradient(at.field, at.p);
 }

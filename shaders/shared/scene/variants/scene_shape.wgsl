@@ -9,7 +9,7 @@
 //   4..  parameters that the function of the structure reads
 
 #import csg_root
-#import scene_levels
+#import scene_sampled
 #import scene_structures
 
 // Number of field units in a local unit.
@@ -105,15 +105,15 @@ fn solid_hit(field: SceneField, origin: vec3f, along: vec3f, t_max: f32) -> f32 
 
 fn field_distance(field: SceneField, p: vec3f) -> f32 {
     if field.kind == KIND_SHAPE { return shape_distance(field, p); }
-    return levels_distance(field, p);
+    return sampled_distance(field, p);
 }
 
 fn field_guess(field: SceneField, p: vec3f, distance: f32) -> f32 {
     if field.kind == KIND_SHAPE { return shape_guess(field, p); }
-    return levels_guess(field, p, distance);
+    return sampled_guess(field, p, distance);
 }
 
 fn field_gradient(field: SceneField, p: vec3f) -> vec3f {
     if field.kind == KIND_SHAPE { return shape_gradient(field, p); }
-    return levels_gradient(field, p);
+    return sampled_gradient(field, p);
 }
