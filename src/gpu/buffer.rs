@@ -28,8 +28,6 @@ const LOOK: Duration = Duration::from_millis(50);
 const HANG: Duration = Duration::from_secs(120);
 /// Size of the pieces of a read-back, which bounds the staging memory, bytes.
 const STAGING_BYTES: u64 = 64 << 20;
-/// Alignment of the sizes and offsets of copies: whole words.
-const WORD: usize = size_of::<u32>();
 /// Remedy for a buffer that is too large.
 const ADVICE: &str = "lower the resolution, bake parts of the box through bounds=, or use device=\"cpu\"";
 
@@ -124,19 +122,6 @@ impl Context {
         let bytes = size_of_val(items).max(size_of::<T>()) as u64;
         let buffer = self.storage(label, bytes)?;
         self.fill(label, &buffer, items)?;
-        Ok(buffer)
-    }
-
-    /// A storage buffer of bytes, padded to whole words.
-    pub fn upload_bytes(&self, label: &str, bytes: &[u8]) -> Result<wgpu::Buffer, DeviceError> {
-        let buffer = self.storage(label, bytes.len().max(WORD) as u64)?;
-        let (whole, rest) = bytes.split_at(bytes.len() / WORD * WORD);
-        self.fill(label, &buffer, whole)?;
-        if !rest.is_empty() {
-            let mut last = [0; WORD];
-            last[..rest.len()].copy_from_slice(rest);
-            self.write(label, &buffer, whole.len() as u64, &last)?;
-        }
         Ok(buffer)
     }
 

@@ -158,7 +158,9 @@ fn a_device_decodes_every_stored_number_as_the_core_does() {
             .map(|bits| if encoding == Encoding::Float16 && bits & 0x7c00 == 0x7c00 { 0 } else { bits })
             .collect();
         let bytes: Vec<u8> = stored.iter().flat_map(|bits| bits.to_le_bytes()[..encoding.bytes()].to_vec()).collect();
-        let words = context.upload_bytes("stored", &bytes).unwrap();
+        // The numbers of each encoding fill whole words.
+        let words: Vec<u32> = bytes.as_chunks().0.iter().map(|word| u32::from_le_bytes(*word)).collect();
+        let words = context.upload("stored", &words).unwrap();
         let decoded = context.storage("decoded", 4 * stored.len() as u64).unwrap();
         let group = context.bind("decode", &kernel, &[(1, &words), (2, &decoded)]).unwrap();
         context.dispatch("decode", &kernel, &group, [stored.len() as u32 / 64, 1, 1]).unwrap();

@@ -125,21 +125,8 @@ impl Camera {
         start: DVec3,
         start_depth: f64,
     ) -> PictureRays {
-        self.rays_in(unit, DVec3::ONE, options, light_count, start, start_depth)
-    }
-
-    /// [`Camera::rays`] in a space whose units have different lengths along each axis: `unit * relative` world units.
-    pub(crate) fn rays_in(
-        &self,
-        unit: f64,
-        relative: DVec3,
-        options: &RaymarchOptions,
-        light_count: usize,
-        start: DVec3,
-        start_depth: f64,
-    ) -> PictureRays {
         let [width, height] = options.size;
-        let to_f32 = |v: DVec3| (v / relative).as_vec3().to_array();
+        let to_f32 = |v: DVec3| v.as_vec3().to_array();
         // The offset of a pixel applies to the directions of the rays or, if they are parallel, to their starts.
         let (to_start, to_direction) = if self.is_parallel { (unit.recip(), 0.0) } else { (start_depth / unit, 1.0) };
         PictureRays {

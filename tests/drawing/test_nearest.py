@@ -81,6 +81,7 @@ def test_voxels_are_those_of_a_search_of_all(shape, share, camera, device):
     volume, view = grid(shape, 7, share), CAMERAS[camera]
 
     frame = fb.raymarch(volume, view, size=SIZE, filter="nearest", lights=[LIGHT], device=device)
+    assert frame.report["device"] == "cpu"
 
     depth, axis, normal, light = truth(volume, view)
     # A pixel is compared where rays a hundredth of a pixel beside it have the same face and the same light.

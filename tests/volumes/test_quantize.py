@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import fieldbake as fb
 import meshes
+from pictures import DEPTH_TOLERANCE
 
 ENCODINGS = ["float16", "snorm16", "snorm8"]
 BYTES = {"float16": 2, "snorm16": 2, "snorm8": 1}
@@ -71,6 +72,12 @@ def test_pictures_are_those_of_the_decoded_field(volume: fb.Volume, encoding: st
     ours, theirs = (fb.raymarch(field, size=(64, 48), device=device) for field in (quantized, decoded))
     assert np.array_equal(ours.depth, theirs.depth)
     assert np.array_equal(ours.color, theirs.color)
+    # A device receives decoded samples, so the picture of the CPU, which decodes them itself, is compared too.
+    here = fb.raymarch(quantized, size=(64, 48), device="cpu")
+    assert (ours.object_id != here.object_id).mean() <= 1e-3
+    hit = (ours.object_id == 0) & (here.object_id == 0)
+    assert hit.mean() > 0.1
+    assert np.abs(ours.depth[hit] - here.depth[hit]).max() <= DEPTH_TOLERANCE
     # Off by a step at most: hits move by a step over the cosine.
     full = fb.raymarch(volume, size=(64, 48), device=device)
     both = (ours.object_id == 0) & (full.object_id == 0)

@@ -1,5 +1,5 @@
 // Traces rays through the bricks of a sparse field to the first point where the field is <= 0. A ray leaps over empty
-// bricks and visits the cells of the others one by one. Twin of src/march/marcher.rs, step for step.
+// bricks and visits the cells of the others one by one. Twin of src/march/marcher.rs.
 //
 // The importing kernel must define `empty_bytes(i)`, `steps`, MAX_STEPS, FAR_T and PARALLEL, and import `cubic`.
 // `empty_bytes` has one byte per brick, four to a word: the radius, in bricks, of the surrounding cube that contains no

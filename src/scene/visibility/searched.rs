@@ -117,21 +117,33 @@ mod tests {
         SampledField::new(field, [grid.lower, grid.upper], &Progress::new()).unwrap()
     }
 
-    fn scene(radius: f64, linear: DMat3, shift: f64) -> Scene {
-        let input = InstanceInput {
+    /// A large ball, or a translucent one with a small ball in front of it and one behind it.
+    fn scene(radius: f64, linear: DMat3, shift: f64, has_small: bool) -> Scene {
+        let field = Arc::new(ball(radius));
+        let large = InstanceInput {
             triangles: None,
-            field: Some(Arc::new(ball(radius))),
+            field: Some(field.clone()),
             world_from_local: DAffine3::from_mat3_translation(linear, DVec3::splat(shift)),
             first_material: 0,
             own_colors: false,
-            opacity: 1.0,
+            opacity: if has_small { 0.5 } else { 1.0 },
             casts_shadow: true,
             visible: true,
             object: 0,
             is_sheet: false,
             is_solid: false,
         };
-        Scene::new(vec![input], vec![Material::plain(false, Alpha::Opaque)], vec![]).unwrap()
+        let small = [1.2, -1.2].map(|away| {
+            let place = large.world_from_local.transform_point3(away * DVec3::new(0.5, 0.6, 0.6));
+            let linear = 0.15 * linear;
+            InstanceInput {
+                world_from_local: DAffine3::from_mat3_translation(linear, place),
+                opacity: 1.0,
+                ..large.clone()
+            }
+        });
+        let inputs = [large].into_iter().chain(small).take(if has_small { 3 } else { 1 }).collect();
+        Scene::new(inputs, vec![Material::plain(false, Alpha::Opaque)], vec![]).unwrap()
     }
 
     #[test]
@@ -141,7 +153,6 @@ mod tests {
             DMat3::from_cols(DVec3::new(1.0, 0.3, 0.0), DVec3::new(-0.4, 0.8, 0.2), DVec3::new(0.1, 0.0, 1.5));
         let mirrored = turned * DMat3::from_diagonal(DVec3::new(-1e-3, 2e-3, 1e-3));
         for (radius, linear, shift) in [(0.7, turned, 0.0), (1.3, sheared, 0.0), (0.7, mirrored, 1e3)] {
-            let scene = scene(radius, linear, shift);
             let [unit, center] = [linear.determinant().abs().cbrt(), shift];
             for (away, is_parallel) in [(4.0, false), (4.0, true), (400.0, false), (0.2, false)] {
                 let pose = look_at(center + away * unit * DVec3::new(0.5, 0.6, 0.6), DVec3::splat(center));
@@ -149,7 +160,10 @@ mod tests {
                     true => Camera::orthographic(&pose, 3.0 * unit),
                     false => Camera::from_pose(&pose, if away > 10.0 { 0.5 } else { 50.0 }),
                 };
-                compare(&scene, &camera.unwrap(), unit, away < 1.0);
+                let camera = camera.unwrap();
+                for has_small in [false, true] {
+                    compare(&scene(radius, linear, shift, has_small), &camera, unit, away < 1.0);
+                }
             }
         }
     }
