@@ -25,6 +25,8 @@ pub(crate) struct SearchedInstances {
     /// For each instance, the depths between which its surface lies on the rays of each tile; `None` if they were not
     /// computed.
     pub tiles: Vec<Option<Tiles>>,
+    /// Number of instances with tiles.
+    tiled: usize,
     /// The searched instances, each with the rectangle of its box on the screen.
     rectangles: Vec<(usize, PixelRectangle)>,
 }
@@ -33,19 +35,20 @@ impl SearchedInstances {
     /// A list of `count` instances, none of which is searched.
     pub(crate) fn new(count: usize) -> Self {
         let tiles = std::iter::repeat_with(|| None).take(count).collect();
-        Self { is_searched: vec![false; count], tiles, rectangles: Vec::new() }
+        Self { is_searched: vec![false; count], tiles, tiled: 0, rectangles: Vec::new() }
     }
 
     /// Adds an instance whose box covers a rectangle of the screen.
     pub(crate) fn add(&mut self, item: usize, rectangle: PixelRectangle, tiles: Option<Tiles>) {
         self.is_searched[item] = true;
+        self.tiled += usize::from(tiles.is_some());
         self.tiles[item] = tiles;
         self.rectangles.push((item, rectangle));
     }
 
     /// Whether another field may have tiles.
     pub(crate) fn may_have_more_tiles(&self) -> bool {
-        self.tiles.iter().flatten().count() < MOST_TILED
+        self.tiled < MOST_TILED
     }
 
     /// The only searched instance; `None` if there are several, or none.
