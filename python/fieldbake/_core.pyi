@@ -17,7 +17,6 @@ __all__ = [
     "Mesh",
     "OuterSides",
     "PointCloud",
-    "Quadrics",
     "Renderer",
     "Scene",
     "SceneField",
@@ -934,7 +933,7 @@ class SceneField:
         """The bricks of a sparse field, decoded."""
     @staticmethod
     def quadrics(rows: NDArray[np.float64]) -> list[SceneField]:
-        """One field for each row of quadrics; see :class:`Quadrics`."""
+        """A field for each row (n, 24): matrix (16), centre (3), radius, reflectance (3), opacity."""
     @staticmethod
     def shape(shape: Shape) -> SceneField:
         """A shape, with the parts that rays are traced through."""
@@ -965,10 +964,15 @@ class Texture:
 
 @type_check_only
 class InstanceRow(TypedDict):
-    """An instance of a scene. It has the materials from ``first_material`` on, one for each material of its mesh."""
+    """The instances of an object: one, or one for each of its fields.
+
+    They have the materials from ``first_material`` on, one for each material of the mesh.
+    """
 
     mesh: SceneMesh | None
-    field: SceneField | None
+    fields: Sequence[SceneField]
+    #: Whether the identifiers of the fields count from ``object``.
+    numbered: bool
     #: World from local, (4, 4).
     transform: NDArray[np.float64]
     first_material: int
@@ -1074,23 +1078,6 @@ class Renderer:
         ``light_on``, the devices of the two passes; ``sheets``, the number of instances whose triangles the CPU traced.
         """
 
-@final
-class Quadrics:
-    """Quadrics prepared for rays."""
-
-    def __new__(cls, rows: NDArray[np.float64]) -> Quadrics:
-        """``rows`` (n, 24): matrix (16), centre (3), radius, reflectance (3), opacity."""
-    def __len__(self) -> int: ...
-    def draw(
-        self,
-        picture: dict[str, Any],
-        device: str,
-        progress: Callable[[float], object] | None = None,
-    ) -> dict[str, Any]:
-        """Draw the nearest sheets, each in its own colour; picture and result as for :func:`raymarch`."""
-    def distance_bound(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Lower bound on the distance to the nearest quadric at ``points`` (n, 3), shape (n,)."""
-
 def merge(
     volumes: list[tuple[Any, ...]],
     instances: list[int],
@@ -1107,8 +1094,8 @@ def merge(
     """One field (nx, ny, nz), the owner of each sample (n,), and counters: ``device``, ``evaluations``.
 
     ``volumes``: (distances, lower, upper, inner_lower, inner_upper) each. ``instances``: the volume of each instance.
-    ``transforms`` (k, 4, 4): world from local. ``quadrics`` (m, 24): as for :class:`Quadrics`, counted after the
-    instances. ``previous``: distances and owners of an earlier merge, and the indices of the changed instances.
+    ``transforms`` (k, 4, 4): world from local. ``quadrics`` (m, 24): as for :meth:`SceneField.quadrics`, counted after
+    the instances. ``previous``: distances and owners of an earlier merge, and the indices of the changed instances.
     """
 
 def devices() -> list[dict[str, Any]]:

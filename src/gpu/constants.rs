@@ -156,16 +156,6 @@ wgsl_constants! {
         /// Spacing of halves below 2^-14, which are evenly spaced.
         HALF_SUBNORMAL: f32 as f32 = HALF_SUBNORMAL_STEP;
     }
-    quadrics {
-        /// Results of a pixel.
-        NOTHING_HIT: u32 as u32 = 0;
-        HIT: u32 as u32 = 1;
-        UNFINISHED: u32 as u32 = 2;
-        /// Number of texels of a quadric, and of a node of the tree.
-        RECORD_TEXELS: usize as u32 = 6;
-        NODE_TEXELS: usize as u32 = 2;
-        MAX_STACK: usize as u32 = BOX_STACK;
-    }
     merge_owners {
         /// Replaces the instance where the device could not identify it.
         UNDECIDED: u32 as u32 = u32::MAX;

@@ -58,8 +58,6 @@ mod _core {
     #[pymodule_export]
     use super::openexr::exr_read;
     #[pymodule_export]
-    use super::quadric::Quadrics;
-    #[pymodule_export]
     use super::query::{
         OuterSides, closest_point, contains, query, refined, sample_surface, signed_distance, signed_distance_float64,
         thickness, winding_number,

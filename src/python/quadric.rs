@@ -1,20 +1,10 @@
-//! `fieldbake._core.Quadrics`.
+//! Quadrics from Python, as rows.
 
-use super::device::choose;
-use super::error::{Failure, exception};
-use super::render::{PictureArguments, images_of};
-use super::run::run;
-use crate::quadric::draw::draw_at;
-use crate::quadric::{Quadric, Quadrics as Core};
+use super::error::exception;
+use crate::quadric::Quadric;
 use glam::{DMat4, DVec3};
-use numpy::{IntoPyArray, PyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
+use numpy::{PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
-use std::time::Instant;
-
-/// Quadrics prepared for rays.
-#[pyclass(frozen, module = "fieldbake._core")]
-pub struct Quadrics(pub Core);
 
 /// Number of values in a row.
 const ROW: usize = 24;
@@ -33,43 +23,4 @@ pub(super) fn quadric_rows(rows: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<Qua
         opacity: row[23] as f32,
     };
     Ok(flat.as_chunks().0.iter().map(quadric).collect())
-}
-
-#[pymethods]
-impl Quadrics {
-    #[new]
-    fn new(py: Python<'_>, rows: PyReadonlyArray2<'_, f64>) -> PyResult<Self> {
-        let quadrics = quadric_rows(&rows)?;
-        Ok(Self(py.detach(|| Core::new(&quadrics)).map_err(Failure::from)?))
-    }
-
-    fn __len__(&self) -> usize {
-        self.0.len()
-    }
-
-    /// Draws the nearest sheets.
-    #[pyo3(signature = (picture, device, progress=None))]
-    fn draw<'py>(
-        &self,
-        py: Python<'py>,
-        picture: PictureArguments<'py>,
-        device: &str,
-        progress: Option<&Bound<'py, PyAny>>,
-    ) -> PyResult<Bound<'py, PyDict>> {
-        let place = choose(py, device)?;
-        let (camera, options) = picture.read()?;
-        let start = Instant::now();
-        let frame = run(py, progress, |progress| draw_at(&place, &self.0, &camera, &options, progress))?;
-        images_of(py, frame, &place, start)
-    }
-
-    /// Lower bound on the distance to the nearest quadric at points (n, 3).
-    fn distance_bound<'py>(
-        &self,
-        py: Python<'py>,
-        #[pyo3(from_py_with = super::convert::points)] points: Vec<DVec3>,
-    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let bounds = run(py, None, |progress| self.0.distance_bounds(&points, progress))?;
-        Ok(bounds.into_pyarray(py))
-    }
 }

@@ -12,7 +12,7 @@ use super::run::{run, run_owned};
 use super::sparse::SparseField;
 use crate::error::SceneError;
 use crate::picture::Light;
-use crate::quadric::Quadrics;
+use crate::quadric;
 use crate::scene;
 use crate::scene::content::instance::InstanceInput;
 use crate::scene::content::material::{Alpha, Material};
@@ -99,12 +99,12 @@ impl SceneField {
         Ok(Self { field: Arc::new(made), divisor })
     }
 
-    /// One field for each row of quadrics.
+    /// A field for each row of quadrics.
     #[staticmethod]
     fn quadrics(rows: PyReadonlyArray2<'_, f64>) -> PyResult<Vec<Self>> {
         let quadrics = quadric_rows(&rows)?;
         // All rows are checked at once.
-        Quadrics::new(&quadrics).map_err(Failure::from)?;
+        quadric::check(&quadrics).map_err(Failure::from)?;
         Ok(quadrics.iter().map(|quadric| Self::distance(QuadricField::new(quadric))).collect())
     }
 
@@ -179,13 +179,15 @@ impl Texture {
 #[pyclass(frozen, module = "fieldbake._core")]
 pub struct Scene(Arc<scene::Scene>);
 
-/// One instance, as a dictionary. `transform` is world from local. An instance has the materials from `first_material`
-/// on, one for each material of its mesh.
+/// The instances of an object, as a dictionary: one, or one for each of its `fields`. `transform` is world from local.
+/// They have the materials from `first_material` on, one for each material of the mesh. The identifiers of `numbered`
+/// fields count from `object`.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 struct InstanceRow<'py> {
     mesh: Option<Py<SceneMesh>>,
-    field: Option<Py<SceneField>>,
+    fields: Vec<Py<SceneField>>,
+    numbered: bool,
     transform: PyReadonlyArray2<'py, f64>,
     first_material: u32,
     opacity: f32,
@@ -198,10 +200,10 @@ struct InstanceRow<'py> {
 }
 
 impl InstanceRow<'_> {
-    fn input(&self) -> PyResult<InstanceInput> {
-        Ok(InstanceInput {
+    fn inputs(&self) -> PyResult<Vec<InstanceInput>> {
+        let instance = InstanceInput {
             triangles: self.mesh.as_ref().map(|mesh| mesh.get().0.clone()),
-            field: self.field.as_ref().map(|field| field.get().field.clone()),
+            field: None,
             world_from_local: affine_map(&self.transform.as_array())?,
             first_material: self.first_material,
             opacity: self.opacity,
@@ -211,7 +213,16 @@ impl InstanceRow<'_> {
             object: self.object,
             is_sheet: self.is_sheet,
             is_solid: self.is_solid,
-        })
+        };
+        if self.fields.is_empty() {
+            return Ok(vec![instance]);
+        }
+        let with_field = |(i, field): (u32, &Py<SceneField>)| InstanceInput {
+            field: Some(field.get().field.clone()),
+            object: if self.numbered { instance.object + i } else { instance.object },
+            ..instance.clone()
+        };
+        Ok((0..).zip(&self.fields).map(with_field).collect())
     }
 }
 
@@ -347,7 +358,7 @@ impl Scene {
         materials: Vec<MaterialRow>,
         textures: Vec<Py<Texture>>,
     ) -> PyResult<Self> {
-        let inputs = instances.iter().map(InstanceRow::input).collect::<PyResult<_>>()?;
+        let inputs = instances.iter().map(InstanceRow::inputs).collect::<PyResult<Vec<_>>>()?.concat();
         let materials = materials.iter().map(|row| row.material(textures.len())).collect::<PyResult<_>>()?;
         let textures = textures.iter().map(|texture| texture.get().0.clone()).collect();
         let made = py.detach(|| scene::Scene::new(inputs, materials, textures)).map_err(Failure::from)?;

@@ -11,9 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import fieldbake as fb
-from fieldbake import Quadric, _core
-from fieldbake.drawing.raymarching import picture_arguments
-from fieldbake.shapes.quadric import core_of
+from fieldbake import Quadric
 
 #: Relative error bound of depths where a ray crosses a surface at a slope above GRAZING.
 DEPTH = 1e-5
@@ -166,7 +164,10 @@ def moved(forms, by):
 
 
 def random_quadrics(random, count):
-    rows, _ = random_rows(random, count)
+    return quadrics_of(random_rows(random, count)[0])
+
+
+def quadrics_of(rows):
     return [Quadric(row[:16].reshape(4, 4), row[16:19], row[19]) for row in rows]
 
 
@@ -182,13 +183,11 @@ def test_ten_thousand_random_matrices_against_float64_roots(random):
     poses = np.broadcast_to(np.eye(4), (count, 4, 4)).copy()
     poses[:, :3, :3] = np.stack([right, np.cross(right, directions), -directions], axis=2)
     poses[:, :3, 3] = eyes + rows[:, 16:19]
-    picture = picture_arguments(fb.Camera((0, 0, 1), (0, 0, 0), fov_deg=45), (1, 1), shadows="none")
-    depths = np.array(
-        [
-            _core.Quadrics(row[None]).draw(picture | {"pose": pose}, "cpu")["depth"][0, 0]
-            for row, pose in zip(rows, poses, strict=True)
-        ]
+    drawn = (
+        fb.raymarch(quadric, fb.Camera.from_pose(pose, fov_deg=45), size=(1, 1), shadows="none", device="cpu")
+        for quadric, pose in zip(quadrics_of(rows), poses, strict=True)
     )
+    depths = np.array([frame.depth[0, 0] for frame in drawn])
 
     def form(p):
         x = np.concatenate([p, np.ones((*p.shape[:-1], 1))], axis=-1)
@@ -331,7 +330,7 @@ def test_a_hundred_thousand_are_drawn(random, device):
     balls[:, :16] = moved(balls[:, :16].reshape(-1, 4, 4), -random_places).reshape(-1, 16)
     balls[:, 16:19] = random_places
     camera = fb.Camera.fit([(-1, -1, -1), (1, 1, 1)])
-    images = _core.Quadrics(balls).draw(picture_arguments(camera, (24, 24)), device)
+    frame = fb.raymarch(quadrics_of(balls), camera, size=(24, 24), device=device)
     directions = rays(camera, (24, 24)).reshape(-1, 3)
     expected = np.full(len(directions), np.inf)
     for i, d in enumerate(directions):
@@ -340,14 +339,14 @@ def test_a_hundred_thousand_are_drawn(random, device):
         gap = 0.004**2 - np.sum((from_eye - along[:, None] * d) ** 2, axis=1)
         t = along - np.sqrt(np.maximum(gap, 0) / (d @ d))
         expected[i] = np.where((gap > 0) & (t > 0), t, np.inf).min()
-    got = images["depth"].ravel()
+    got = frame.depth.ravel()
     same = np.isfinite(got) == np.isfinite(expected)
     assert same.mean() > 0.99
     hit = same & np.isfinite(expected)
     assert hit.sum() > 200
     assert np.percentile(np.abs(got[hit] / expected[hit] - 1), 98) <= DEPTH
     # The tree culls: a ray tries few of the 100,000 spheres.
-    assert images["steps"].mean() < 600
+    assert frame.steps.mean() < 600
 
 
 def _plane_y(height):
@@ -458,8 +457,11 @@ def test_the_distance_bound_is_never_above_the_distance(random):
                 camera.eye + frame.depth[hit][:, None].astype(np.float64) * rays(camera, (96, 96))[hit]
             )
         surface = np.concatenate(camera_points)
-        points = quadric.center + random.normal(size=(300, 3)) * quadric.radius
-        bound = core_of([quadric]).distance_bound(points)
+        # Merged fields have the bound at their samples.
+        corners = quadric.center + 2 * quadric.radius * np.array([[-1.0] * 3, [1.0] * 3])
+        merged = fb.merge([quadric], 7, bounds=corners, device="cpu")
+        steps = (np.indices(merged.resolution).reshape(3, -1).T + 0.5) / merged.resolution
+        points, bound = corners[0] + steps * (corners[1] - corners[0]), merged.distances.astype(np.float64).ravel()
         distance = np.array([np.linalg.norm(surface - p, axis=1).min() for p in points])
         # Depths of the pictures are float32 at 3 radii.
         assert (bound <= distance + 4 * quadric.radius * 2.0**-22).all(), name

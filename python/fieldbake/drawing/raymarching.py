@@ -19,6 +19,7 @@ from ..base.progress import Progress, progress_callback
 from ..merging.nested import NestedField
 from ..scaling.stores.zarr_volume import ZarrVolume
 from ..scenes.camera import Camera
+from ..scenes.core_scene import SceneBuilder
 from ..scenes.instance import Instance
 from ..scenes.lights import (
     AMBIENT,
@@ -33,13 +34,13 @@ from ..scenes.lights import (
 )
 from ..scenes.materials import PLAIN, SHININESS, SPECULAR, Material
 from ..scenes.scene import Scene
-from ..shapes.quadric import Quadric, bounds_of, check_quadrics, core_of, is_quadrics
+from ..shapes.quadric import Quadric, bounds_of, check_quadrics, is_quadrics
 from ..shapes.shape import Shape
 from ..volumes.sparse import SparseVolume
 from ..volumes.volume import Volume, plain_field
 from .frame import Frame
 from .options import checked_color, checked_size, frame_of
-from .rendering import Primary, Shadows, render
+from .rendering import Options, Shadows, render
 
 Filter = Literal["linear", "nearest"]
 Method = Literal["auto", "whole", "aabb", "octree"]
@@ -262,21 +263,22 @@ class _Options:
             shadows="none" if self.shadows == "none" else "hard",
         )
 
-    def render(self, objects: Sequence[Any], camera: Camera, primary: Primary, device: str) -> Frame:
-        """Draw objects as the instances of a scene. Without a colour each keeps its own paint or reflectance."""
+    def render(self, geometry: Any, camera: Camera) -> Frame:
+        """Draw an object as a scene of one instance. Without a colour it keeps its own paint or reflectance."""
         material = Material(color=self.color, specular=self.specular, shininess=self.shininess)
-        instances = [Instance(geometry, material=material) for geometry in objects]
-        scene = Scene(instances, self.lights, ambient=self.ambient, background=self.background)
-        return render(
-            scene,
-            camera,
+        scene = Scene(
+            [Instance(geometry, material=material)], self.lights, ambient=self.ambient, background=self.background
+        )
+        checked = Options(
             size=self.size,
-            primary=primary,
+            primary="raymarch",
             shadows=self.shadows,
             samples=self.samples,
-            device=device,
+            device=self.device,
             progress=self.progress,
         )
+        core = SceneBuilder().build(scene.instances, checked.fields_of(scene.instances), self.device, numbered=True)
+        return checked.draw(scene._renderer, core, scene, camera, self.lights, scene.bounds)
 
 
 def _draw_quadrics(quadrics: Sequence[Quadric], options: _Options) -> Frame:
@@ -284,11 +286,7 @@ def _draw_quadrics(quadrics: Sequence[Quadric], options: _Options) -> Frame:
         raise ArgumentError(f"filter: quadrics are not sampled, got {options.filter!r}; leave it out")
     if options.color is not None:
         raise ArgumentError("color: each quadric has its own reflectance; leave it out")
-    camera = options.view_of(bounds_of(quadrics))
-    if options.needs_scene:
-        return options.render(quadrics, camera, "auto", options.device)
-    with progress_callback(options.progress, "raymarch") as callback:
-        return frame_of(core_of(quadrics).draw(options.arguments(camera), options.device, callback))
+    return options.render(quadrics, options.view_of(bounds_of(quadrics)))
 
 
 def _draw_shape(shape: Shape, method: Method, options: _Options) -> Frame:
@@ -301,7 +299,7 @@ def _draw_shape(shape: Shape, method: Method, options: _Options) -> Frame:
                 f'method: "{method}" needs samples=1 and directional lights, without a size if shadows are "soft" or '
                 '"area"; leave it out for other pictures'
             )
-        return options.render([shape], camera, "raymarch", options.device)
+        return options.render(shape, camera)
     with progress_callback(options.progress, "raymarch") as callback:
         return frame_of(shape._core.draw(method, options.arguments(camera), options.device, callback))
 
@@ -309,7 +307,7 @@ def _draw_shape(shape: Shape, method: Method, options: _Options) -> Frame:
 def _draw_nested(field: NestedField, options: _Options) -> Frame:
     if options.filter != "linear":
         raise ArgumentError(f'filter: "{options.filter}" needs a volume, got a NestedField')
-    return options.render([field], options.view_of(field.inner_bounds), "raymarch", options.device)
+    return options.render(field, options.view_of(field.inner_bounds))
 
 
 def _draw_volume(volume: Volume | SparseVolume, options: _Options) -> Frame:
@@ -329,7 +327,7 @@ def _draw_volume(volume: Volume | SparseVolume, options: _Options) -> Frame:
             )
         if result is not None:
             return frame_of(result)
-    return options.render([volume], camera, "raymarch", options.device)
+    return options.render(volume, camera)
 
 
 def _draw_entry(entry: AtlasEntry, options: _Options) -> Frame:
@@ -337,7 +335,7 @@ def _draw_entry(entry: AtlasEntry, options: _Options) -> Frame:
         return _draw_volume(entry.to_volume(), options)
     if options.filter != "linear":
         raise ArgumentError(f'filter: "{options.filter}" needs a volume without a transform; draw atlas[i].to_volume()')
-    return options.render([entry], options.view_of(Instance(entry).bounds), "raymarch", options.device)
+    return options.render(entry, options.view_of(Instance(entry).bounds))
 
 
 def _draw_zarr(volume: ZarrVolume, options: _Options) -> Frame:

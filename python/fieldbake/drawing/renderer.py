@@ -83,7 +83,6 @@ class Renderer:
         self._core = self._scene._core(self._options.fields_of(instances), device)
         # The core has one instance for each quadric of a list.
         self._rows = np.array([len(i.geometry) if isinstance(i.geometry, tuple) else 1 for i in instances])
-        self._own = self._matrices([None] * len(instances))
         # The materials of the last frame that replaced any, and the scene of the core with them.
         self._varied: tuple[tuple[Material | None, ...], _core.Scene] | None = None
         # The last scene of the core that was moved, its transforms, and the moved scene.
@@ -145,10 +144,9 @@ class Renderer:
         matrices = None if transforms is None else self._matrices(transforms)
         core = self._core if materials is None else self._with_materials(materials)
         bounds = self._scene.bounds
-        if matrices is not None and not np.array_equal(matrices, self._own):
+        if matrices is not None and not np.array_equal(matrices, self._scene._transforms):
             core = self._moved_to(core, matrices)
-            boxes = np.stack([i.bounds_at(m) for i, m in zip(self._scene.instances, matrices, strict=True)])
-            bounds = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+            bounds = self._scene._bounds_at(matrices)
         return self._options.draw(self._renderer, core, self._scene, camera, lights, bounds)
 
     def frames(self, cameras: Iterable[Camera]) -> Iterator[Frame]:

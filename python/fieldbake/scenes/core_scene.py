@@ -22,6 +22,10 @@ from .sheets import NO_SHEET, THIN_VOXELS, Appearance, Sheet, needed_resolution,
 Textures = dict[int, tuple[NDArray[np.uint8], _core.Texture]]
 
 
+#: The part of an object without materials of its own.
+_PLAIN_PART = Part(color=PLAIN)
+
+
 class MaterialTable:
     """Materials and textures of a scene while they are collected."""
 
@@ -65,7 +69,7 @@ class MaterialTable:
 
 
 class Rows:
-    """Instances of the core's scene while they are collected. A list of quadrics becomes one instance per quadric."""
+    """Instances of the core's scene while they are collected: one row for each object."""
 
     def __init__(self, converted: Textures) -> None:
         self.table = MaterialTable(converted)
@@ -76,16 +80,22 @@ class Rows:
         number: int,
         instance: Instance,
         mesh: _core.SceneMesh | None,
-        field: _core.SceneField | None,
+        fields: Sequence[_core.SceneField],
         appearances: Sequence[Appearance],
         sheet: Sheet = NO_SHEET,
+        *,
+        numbered: bool = False,
     ) -> None:
-        """Add one instance, with a row of the material table for the appearance of each part."""
+        """Add an object, with a row of the material table for the appearance of each part.
+
+        The core makes an instance of each of several fields. The identifiers of numbered fields count from `number`.
+        """
         own_colors = instance.material is None or instance.material.color is None
         self.instances.append(
             {
                 "mesh": mesh,
-                "field": field,
+                "fields": fields,
+                "numbered": numbered,
                 "transform": np.asarray(instance.transform, dtype=np.float64),
                 "first_material": len(self.table.materials),
                 "opacity": instance.opacity,
@@ -128,8 +138,13 @@ class SceneBuilder:
         self._first: Textures | None = None
         self._textures: Textures = {}
 
-    def build(self, instances: Sequence[Instance], fields: Fields, device: str) -> _core.Scene:
-        """Make a scene. An object that several instances or scenes share is converted once."""
+    def build(
+        self, instances: Sequence[Instance], fields: Fields, device: str, *, numbered: bool = False
+    ) -> _core.Scene:
+        """Make a scene. An object that several instances or scenes share is converted once.
+
+        With `numbered`, each quadric of a list is an object of its own in the picture.
+        """
         rows = Rows(self._textures)
         # Appearances of the parts of a mesh, by the ids of the mesh and the material.
         appearances_of: dict[tuple[int, int], tuple[list[Appearance], Sheet]] = {}
@@ -138,10 +153,8 @@ class SceneBuilder:
             if isinstance(geometry, tuple):
                 if id(geometry) not in self._quadrics:
                     self._quadrics[id(geometry)] = field_cache.of_quadrics(geometry)
-                for quadric, field in zip(geometry, self._quadrics[id(geometry)], strict=True):
-                    red, green, blue = quadric.reflectance.tolist()
-                    part = Part("quadric", color=(red, green, blue, 1.0))
-                    rows.add(number, instance, None, field, [Appearance.of(instance.material, part)])
+                appearances = [Appearance.of(instance.material, _PLAIN_PART)]
+                rows.add(number, instance, None, self._quadrics[id(geometry)], appearances, numbered=numbered)
             elif isinstance(geometry, Mesh):
                 # A material with a colour or a texture replaces the colours and the texture of the mesh.
                 material = instance.material
@@ -156,12 +169,13 @@ class SceneBuilder:
                     sheet = self._with_thin_walls(number, instance, sheet, fields)
                 is_baked = fields.of_sheets if sheet.is_traced and not _scatters(material) else fields.of_solids
                 baked = self._baked(geometry, instance.resolution, device, appearances, sheet) if is_baked else None
-                rows.add(number, instance, self._mesh(geometry, is_colored), baked, appearances, sheet)
+                baked_fields = [] if baked is None else [baked]
+                rows.add(number, instance, self._mesh(geometry, is_colored), baked_fields, appearances, sheet)
             else:
-                appearances = [Appearance.of(instance.material, Part(color=PLAIN))]
+                appearances = [Appearance.of(instance.material, _PLAIN_PART)]
                 if id(geometry) not in self._fields:
                     self._fields[id(geometry)] = field_cache.of_geometry(geometry)
-                rows.add(number, instance, None, self._fields[id(geometry)], appearances)
+                rows.add(number, instance, None, [self._fields[id(geometry)]], appearances)
         if self._first is None:
             self._first = rows.table.used
         self._textures = self._first | rows.table.used

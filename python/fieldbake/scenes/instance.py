@@ -107,14 +107,7 @@ class Instance:
     @property
     def bounds(self) -> NDArray[np.float64]:
         """Box around the surface, (2, 3), world units."""
-        return self.bounds_at(np.asarray(self.transform))
-
-    def bounds_at(self, transform: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Box around the surface, (2, 3), world units, under another transform, (4, 4)."""
-        box = _box_of(self.geometry)
-        corners = np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
-        placed = corners @ transform[:3, :3].T + transform[:3, 3]
-        return np.stack([placed.min(axis=0), placed.max(axis=0)])
+        return placed_bounds(box_of(self.geometry)[None], np.asarray(self.transform)[None])
 
     def __repr__(self) -> str:
         return f"Instance({self.geometry!r})"
@@ -134,8 +127,19 @@ def _geometry(geometry: Any) -> Geometry:
     return tuple(check_quadrics(geometry)) if is_quadrics(geometry) else as_mesh(geometry)
 
 
-def _box_of(geometry: Geometry) -> NDArray[np.float64]:
+def box_of(geometry: Geometry) -> NDArray[np.float64]:
     """Box around the surface, (2, 3), in the object's own coordinates."""
     if isinstance(geometry, tuple):
         return bounds_of(geometry)
     return geometry.bounds if isinstance(geometry, (Mesh, Shape)) else geometry.inner_bounds
+
+
+#: Rows of the corners of a box (lower, upper) in each coordinate.
+_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+
+
+def placed_bounds(boxes: NDArray[np.float64], transforms: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Box, (2, 3), around the boxes (n, 2, 3) under the transforms (n, 4, 4), world units."""
+    corners = boxes[:, _CORNERS, np.arange(3)]
+    placed = corners @ np.swapaxes(transforms[:, :3, :3], 1, 2) + transforms[:, None, :3, 3]
+    return np.stack([placed.min(axis=(0, 1)), placed.max(axis=(0, 1))])

@@ -150,5 +150,7 @@ def _texture(value: Any) -> NDArray[np.uint8]:
 
 def scattering_rgb(material: Material) -> tuple[float, float, float]:
     """Scattering length of each colour channel, world units."""
-    r, g, b = np.broadcast_to(np.asarray(material.scattering, dtype=np.float64), 3).tolist()
-    return r, g, b
+    # The constructor has stored three numbers.
+    assert isinstance(material.scattering, tuple)
+    red, green, blue = material.scattering
+    return red, green, blue

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from ..base.viewable import Viewable
 from ..queries.nearest import Query
 from .camera import Camera
 from .core_scene import Fields, SceneBuilder
-from .instance import Instance
+from .instance import Instance, box_of, placed_bounds
 from .lights import AMBIENT, BACKGROUND, Light, check_lights
 from .queries import SceneGeometry
 from .surroundings import Ambient, checked_ambient, form_of
@@ -116,8 +117,21 @@ class Scene(Viewable):
     @property
     def bounds(self) -> NDArray[np.float64]:
         """Box around all instances, (2, 3), world units."""
-        boxes = np.stack([instance.bounds for instance in self._instances])
-        return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+        return self._bounds_at(self._transforms)
+
+    @cached_property
+    def _transforms(self) -> NDArray[np.float64]:
+        """Transforms of the instances, (n, 4, 4)."""
+        return np.stack([np.asarray(instance.transform) for instance in self._instances])
+
+    @cached_property
+    def _boxes(self) -> NDArray[np.float64]:
+        """Boxes of the instances in their own coordinates, (n, 2, 3)."""
+        return np.stack([box_of(instance.geometry) for instance in self._instances])
+
+    def _bounds_at(self, transforms: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Box around all instances, (2, 3), world units, under other transforms, (n, 4, 4)."""
+        return placed_bounds(self._boxes, transforms)
 
     def _query(self, points: ArrayLike, *, sign: str, device: str, progress: Progress) -> Query:
         """Evaluate :func:`fieldbake.query` of the instances."""

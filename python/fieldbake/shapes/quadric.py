@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import _core
 from ..base import checks
 from ..base.errors import ArgumentError, ShapeError
 from ..base.viewable import Viewable
@@ -431,11 +430,6 @@ def is_quadrics(geometry: Any) -> bool:
     return isinstance(geometry, Quadric) or (
         isinstance(geometry, Sequence) and len(geometry) > 0 and all(isinstance(item, Quadric) for item in geometry)
     )
-
-
-def core_of(quadrics: Sequence[Quadric]) -> _core.Quadrics:
-    """Convert quadrics to the object of the core that rays intersect."""
-    return _core.Quadrics(rows_of(quadrics))
 
 
 def rows_of(quadrics: Sequence[Quadric]) -> NDArray[np.float64]:

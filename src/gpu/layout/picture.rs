@@ -1,4 +1,4 @@
-//! Structs of packing, and of the rays and lights of pictures.
+//! Structs of packing, and of the rays of pictures.
 
 gpu_structs! {
     /// `shaders/atlas/atlas_pack.wgsl`.
@@ -31,13 +31,5 @@ gpu_structs! {
         light_count: u32,
         up: [f32; 3],
         shadows: u32,
-    }
-
-    /// `shaders/shared/picture/light.wgsl`.
-    "quadrics": struct Light {
-        direction: [f32; 3],
-        pad_0: u32,
-        color: [f32; 3],
-        pad_1: u32,
     }
 }

@@ -1,33 +1,8 @@
-//! Structs of quadrics and shapes.
+//! Structs of shapes.
 
 use super::picture::PictureRays;
 
 gpu_structs! {
-    /// `shaders/quadric/quadrics.wgsl`.
-    "quadrics": struct QuadricParams {
-        rays: PictureRays,
-        background: [f32; 4],
-        ambient: f32,
-        specular: f32,
-        shininess: f32,
-        quadric_count: u32,
-        node_count: u32,
-        texels_per_row: u32,
-        pad_0: u32,
-        pad_1: u32,
-    }
-
-    /// `shaders/quadric/quadrics.wgsl`.
-    "quadrics": struct QuadricPixel {
-        color: [f32; 4],
-        normal: [f32; 3],
-        depth: f32,
-        quadric: u32,
-        steps: u32,
-        state: u32,
-        pad_0: u32,
-    }
-
     /// A placed leaf or warp; `shaders/shared/csg/csg_tables.wgsl`.
     "csg_points": struct CsgLeaf {
         row_x: [f32; 3],

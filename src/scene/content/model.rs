@@ -26,6 +26,8 @@ pub struct Scene {
     pub tree: Tree,
     /// Scene boxes of the instances.
     pub boxes: Vec<Aabb>,
+    /// Box around all instances, world units.
+    bounds: [DVec3; 2],
     /// The instances whose triangles block cones of light.
     pub sheets: Sheets,
     /// Whether triangles of any instance block rays of light.
@@ -63,10 +65,25 @@ impl Scene {
         let make = |(i, input)| Instance::new(i, input, center, scale, &materials);
         let instances: Vec<Instance> = inputs.iter().enumerate().map(make).collect::<Result<_, _>>()?;
         let tree = Tree::new(&boxes);
+        let all = boxes.iter().fold(Aabb::EMPTY, |all, &b| all.union(b));
+        let bounds = [all.min, all.max].map(|corner| center + corner.as_dvec3() * scale);
         let sheets = Sheets::new(&instances, &boxes);
         let has_faces = instances.iter().any(|instance| instance.casting_triangles().is_some());
         let has_fields = instances.iter().any(Instance::casts_by_field);
-        Ok(Self { center, scale, instances, materials, textures, tree, boxes, sheets, has_faces, has_fields, inputs })
+        Ok(Self {
+            center,
+            scale,
+            instances,
+            materials,
+            textures,
+            tree,
+            boxes,
+            bounds,
+            sheets,
+            has_faces,
+            has_fields,
+            inputs,
+        })
     }
 
     /// The same instances with other transforms, world from local, one for each instance. All objects are shared. The
@@ -91,7 +108,6 @@ impl Scene {
 
     /// Box around all instances, world units.
     pub fn bounds(&self) -> [DVec3; 2] {
-        let all = self.boxes.iter().fold(Aabb::EMPTY, |all, &b| all.union(b));
-        [all.min, all.max].map(|corner| self.center + corner.as_dvec3() * self.scale)
+        self.bounds
     }
 }

@@ -27,6 +27,7 @@ pub(crate) struct QuadricField {
     /// The form in field space: about the origin, with a radius of `UNITS`.
     local: Local,
     field_from_local: DAffine3,
+    reflectance: Vec3,
     opacity: f32,
 }
 
@@ -38,6 +39,7 @@ impl QuadricField {
         Self {
             local: Local { center: DVec3::ZERO, radius: UNITS, ..placed },
             field_from_local: DAffine3::from_scale(DVec3::splat(per_unit)) * DAffine3::from_translation(-placed.center),
+            reflectance: quadric.reflectance,
             opacity: quadric.opacity,
         }
     }
@@ -86,7 +88,7 @@ impl Field for QuadricField {
 
     fn appearance(&self, p: Vec3, _: &FieldHit, direction: Vec3) -> SurfaceAppearance {
         let normal = self.local.normal(p.as_dvec3(), direction.as_dvec3());
-        SurfaceAppearance { normal: normal.as_vec3(), color: None }
+        SurfaceAppearance { normal: normal.as_vec3(), color: Some(self.reflectance.to_array()) }
     }
 
     fn opacity(&self) -> f32 {
