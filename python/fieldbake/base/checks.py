@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 import os
 import stat
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -224,13 +224,36 @@ def box(name: str, value: ArrayLike, error: type[Error] = ArgumentError, *, flat
 def affine(name: str, value: ArrayLike, error: type[Error]) -> NDArray[np.float64]:
     """Check a 4x4 affine transform for column vectors that has an inverse."""
     transform = matrix(name, value, (4, 4), error)
-    if not np.allclose(transform[3], (0, 0, 0, 1), atol=1e-12):
-        raise error(f"{name}: the last row must be (0, 0, 0, 1), got {transform[3].tolist()}; is it transposed?")
-    # The determinant is compared with the size of the transform, so that a uniform scale by 1e-6 is valid.
-    scale = np.abs(transform[:3, :3]).max()
-    if scale == 0 or abs(np.linalg.det(transform[:3, :3] / scale)) < 1e-12:
-        raise error(f"{name}: cannot be undone, its 3x3 part is singular: {transform[:3, :3].tolist()}")
+    _check_affine(lambda _: name, transform[None], error)
     return transform
+
+
+def affine_list(name: str, value: ArrayLike, count: int, error: type[Error]) -> NDArray[np.float64]:
+    """Check affine transforms as :func:`affine` does, (count, 4, 4); the message names the index of the wrong one."""
+    transforms = matrix(name, value, (count, 4, 4), error)
+    _check_affine(lambda index: f"{name}[{index}]", transforms, error)
+    return transforms
+
+
+#: Largest differences of the last row of an affine transform from (0, 0, 0, 1).
+_ROW_TOLERANCE = np.array([1e-12, 1e-12, 1e-12, 1e-5])
+
+
+def _check_affine(name_of: Callable[[int], str], transforms: NDArray[np.float64], error: type[Error]) -> None:
+    has_row = (np.abs(transforms[:, 3] - (0, 0, 0, 1)) <= _ROW_TOLERANCE).all(axis=1)
+    # The determinant is compared with the size of the transform, so that a uniform scale by 1e-6 is valid.
+    linear = transforms[:, :3, :3]
+    scale = np.abs(linear).max(axis=(1, 2), keepdims=True)
+    has_inverse = np.abs(np.linalg.det(linear / np.where(scale > 0, scale, 1))) >= 1e-12
+    is_valid: NDArray[np.bool_] = has_row & has_inverse
+    if is_valid.all():
+        return
+    index = int(np.argmin(is_valid))
+    name = name_of(index)
+    if not has_row[index]:
+        row = transforms[index, 3].tolist()
+        raise error(f"{name}: the last row must be (0, 0, 0, 1), got {row}; is it transposed?")
+    raise error(f"{name}: cannot be undone, its 3x3 part is singular: {linear[index].tolist()}")
 
 
 def triple(corner: NDArray[np.float64]) -> tuple[float, float, float]:

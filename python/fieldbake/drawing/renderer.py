@@ -184,10 +184,7 @@ class Renderer:
                 own.transform if matrix is None else checks.matrix(f"transforms[{i}]", matrix, (4, 4), SceneError)
                 for i, (own, matrix) in enumerate(zip(instances, transforms, strict=True))
             ]
-        matrices = checks.matrix("transforms", transforms, (len(instances), 4, 4), SceneError)
-        for number, matrix in enumerate(matrices):
-            checks.affine(f"transforms[{number}]", matrix, SceneError)
-        return matrices
+        return checks.affine_list("transforms", transforms, len(instances), SceneError)
 
     def _moved_to(self, core: _core.Scene, matrices: NDArray[np.float64]) -> _core.Scene:
         """The scene of the core with other transforms."""

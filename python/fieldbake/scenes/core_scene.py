@@ -15,7 +15,7 @@ from ..meshes.mesh import Mesh
 from ..meshes.part import Part
 from . import field_cache
 from .instance import Instance
-from .materials import PLAIN, Material, scattering_rgb
+from .materials import DEFAULT_MATERIAL, PLAIN, Material, scattering_rgb
 from .sheets import NO_SHEET, THIN_VOXELS, Appearance, Sheet, needed_resolution, sheet_of
 
 #: Converted images by the id of their pixels, with the pixels, so that no id is reused.
@@ -48,7 +48,7 @@ class MaterialTable:
 
     def add(self, material: Material | None, appearance: Appearance, is_two_sided: bool) -> None:
         """Add one row. `is_two_sided` is used if the material leaves this open."""
-        material = material or Material()
+        material = material or DEFAULT_MATERIAL
         self.materials.append(
             {
                 "color": appearance.color,

@@ -148,6 +148,10 @@ def _texture(value: Any) -> NDArray[np.uint8]:
     return decoded(pixels)
 
 
+#: The material of an instance without one.
+DEFAULT_MATERIAL = Material()
+
+
 def scattering_rgb(material: Material) -> tuple[float, float, float]:
     """Scattering length of each colour channel, world units."""
     # The constructor has stored three numbers.

@@ -14,7 +14,7 @@ from ..meshes.mesh import Mesh
 from ..meshes.part import Part
 from ..queries.rays import cast_rays
 from ..queries.sampling import sample_surface
-from .materials import PLAIN, Material
+from .materials import DEFAULT_MATERIAL, PLAIN, Material
 
 #: A mesh is flat if it deviates from a plane by less than this fraction of its extent.
 FLAT = 1e-6
@@ -53,7 +53,7 @@ class Appearance(NamedTuple):
     @classmethod
     def of(cls, material: Material | None, part: Part, is_colored: bool = False) -> Appearance:
         """Combine a material with a part. `is_colored` states that the mesh has colours of its vertices or faces."""
-        material = material or Material()
+        material = material or DEFAULT_MATERIAL
         color: Sequence[float] = part.color
         texture, mode = part.texture, part.alpha_mode
         emission: Sequence[float] = part.emission
