@@ -240,12 +240,12 @@ _ROW_TOLERANCE = np.array([1e-12, 1e-12, 1e-12, 1e-5])
 
 
 def _check_affine(name_of: Callable[[int], str], transforms: NDArray[np.float64], error: type[Error]) -> None:
-    has_row = (np.abs(transforms[:, 3] - (0, 0, 0, 1)) <= _ROW_TOLERANCE).all(axis=1)
+    has_row = np.asarray((np.abs(transforms[:, 3] - (0, 0, 0, 1)) <= _ROW_TOLERANCE).all(axis=1))
     # The determinant is compared with the size of the transform, so that a uniform scale by 1e-6 is valid.
     linear = transforms[:, :3, :3]
     scale = np.abs(linear).max(axis=(1, 2), keepdims=True)
     has_inverse = np.abs(np.linalg.det(linear / np.where(scale > 0, scale, 1))) >= 1e-12
-    is_valid: NDArray[np.bool_] = has_row & has_inverse
+    is_valid = has_row & has_inverse
     if is_valid.all():
         return
     index = int(np.argmin(is_valid))
