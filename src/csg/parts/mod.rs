@@ -8,6 +8,7 @@ pub(crate) mod decompose;
 pub(crate) mod grid_samples;
 pub(crate) mod octree;
 pub(crate) mod part;
+pub(crate) mod point_values;
 pub(crate) mod pruning;
 pub(crate) mod solid;
 pub(crate) mod trace;

@@ -68,7 +68,7 @@ impl Pruning {
 
     /// Stores the tokens that decide the field in a ball, local units, in `scratch.kept`. `tokens` decide it in a ball
     /// around this one.
-    fn prune(&self, solid: &Solid, tokens: &[Token], ball: Ball, scratch: &mut PruningScratch) {
+    pub(super) fn prune(&self, solid: &Solid, tokens: &[Token], ball: Ball, scratch: &mut PruningScratch) {
         scratch.evaluate(solid, tokens, &[ball.middle]);
         self.prune_at(solid, tokens, Ball { radius: ball.radius + PAD, ..ball }, 0, scratch);
     }

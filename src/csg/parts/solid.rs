@@ -1,7 +1,7 @@
 //! A shape prepared for evaluation: distances, gradients, colours.
 //!
 //! Queries run in float64 and are rounded once. Grids and pictures run in float32, in local units, where it is accurate
-//! to about 1e-7 of the model's size at any position. Batches of 64 points are distributed to all cores.
+//! to about 1e-7 of the model's size at any position. [`super::point_values`] evaluates points.
 
 use super::cells::{PartCells, SharedTables};
 use super::part::Part;
@@ -9,15 +9,10 @@ use crate::csg::evaluation::program::{LocalFrame, Program, Stack};
 use crate::csg::evaluation::scalar::Scalar;
 use crate::csg::model::lowered::Model;
 use crate::csg::model::token::Token;
-use crate::csg::tree::primitive::Primitive;
 use crate::csg::tree::shape::Shape;
-use crate::error::{Error, ShapeError};
-use crate::memory::zeroed_rows;
-use crate::progress::Progress;
+use crate::error::Error;
 use crate::simd::with_vectors;
-use bytemuck::Zeroable;
 use glam::DVec3;
-use rayon::prelude::*;
 use std::sync::OnceLock;
 
 /// A lowered and compiled shape. Immutable, and shared between threads.
@@ -39,16 +34,6 @@ pub struct Solid {
 
 /// Number of points evaluated together.
 pub(crate) const LANES: usize = 64;
-
-/// Number of points of a piece of a batch.
-const CHUNK_POINTS: usize = 16 * LANES;
-
-/// Half the step of a gradient's central differences, local units: the cube root of float64's rounding. There the
-/// errors by the rounding of the field and by the curvature of the surface are equal, about 1e-10.
-const GRADIENT_STEP: f64 = 6e-6;
-
-/// Number of points whose gradients are evaluated together: six lanes each.
-const GRADIENTS: usize = LANES / 6;
 
 impl Solid {
     /// Lowers and compiles a shape.
@@ -87,79 +72,6 @@ impl Solid {
             return Ok([middle, middle]);
         }
         Ok([extent.lower, extent.upper])
-    }
-
-    /// Signed distance, or a bound on it, at world points.
-    pub fn distances(&self, points: &[DVec3], progress: &Progress) -> Result<Vec<f32>, Error> {
-        self.distances_as(points, saturated, progress)
-    }
-
-    /// [`Solid::distances`] in float64. A baked volume has float32 samples, so a shape with one is refused.
-    pub fn precise_distances(&self, points: &[DVec3], progress: &Progress) -> Result<Vec<f64>, Error> {
-        if self.model.leaves.iter().any(|leaf| matches!(leaf.primitive, Primitive::Volume(_))) {
-            let problem = "\"float64\" does not apply to a shape with a volume_shape, whose samples are float32";
-            return Err(ShapeError::argument("dtype", problem).into());
-        }
-        self.distances_as(points, |value| value.clamp(-f64::from(f32::MAX), f64::from(f32::MAX)), progress)
-    }
-
-    fn distances_as<T: Copy + Send + Zeroable>(
-        &self,
-        points: &[DVec3],
-        rounded: impl Fn(f64) -> T + Sync,
-        progress: &Progress,
-    ) -> Result<Vec<T>, Error> {
-        let mut out = zeroed_rows("results", points.len())?;
-        progress.set_total(points.len() as u64);
-        out.par_chunks_mut(CHUNK_POINTS).zip(points.par_chunks(CHUNK_POINTS)).try_for_each_init(
-            Stack::<f64, LANES>::default,
-            |stack, (out, points)| {
-                for (out, points) in out.chunks_mut(LANES).zip(points.chunks(LANES)) {
-                    let mut at = [[0.0; LANES]; 3];
-                    for (i, &p) in points.iter().enumerate() {
-                        let local = self.frame.local(p);
-                        (at[0][i], at[1][i], at[2][i]) = (local.x, local.y, local.z);
-                    }
-                    let values = run_wide(&self.precise, &self.model.tokens, &at, stack);
-                    for (out, value) in out.iter_mut().zip(values) {
-                        *out = rounded(value * self.frame.scale);
-                    }
-                }
-                progress.advance(points.len() as u64)
-            },
-        )?;
-        Ok(out)
-    }
-
-    /// Gradient of the field at world points; zero where it is undefined.
-    pub fn gradients(&self, points: &[DVec3], progress: &Progress) -> Result<Vec<[f32; 3]>, Error> {
-        let mut out = zeroed_rows("results", points.len())?;
-        progress.set_total(points.len() as u64);
-        out.par_chunks_mut(CHUNK_POINTS).zip(points.par_chunks(CHUNK_POINTS)).try_for_each_init(
-            Stack::<f64, LANES>::default,
-            |stack, (out, points)| {
-                for (out, points) in out.chunks_mut(GRADIENTS).zip(points.chunks(GRADIENTS)) {
-                    let (mut at, mut steps) = ([[0.0; LANES]; 3], [0.0; GRADIENTS]);
-                    for (i, &p) in points.iter().enumerate() {
-                        let local = self.frame.local(p);
-                        // The step is proportional to the rounding of positions far away.
-                        steps[i] = GRADIENT_STEP * local.abs().max_element().max(1.0);
-                        for axis in 0..3 {
-                            at[axis][6 * i..6 * i + 6].fill(local[axis]);
-                            at[axis][6 * i + 2 * axis] += steps[i];
-                            at[axis][6 * i + 2 * axis + 1] -= steps[i];
-                        }
-                    }
-                    let values = run_wide(&self.precise, &self.model.tokens, &at, stack);
-                    for ((out, values), step) in out.iter_mut().zip(values.chunks_exact(6)).zip(steps) {
-                        let across = |axis: usize| (values[2 * axis] - values[2 * axis + 1]) / (2.0 * step);
-                        *out = [across(0) as f32, across(1) as f32, across(2) as f32];
-                    }
-                }
-                progress.advance(points.len() as u64)
-            },
-        )?;
-        Ok(out)
     }
 
     /// Linear RGB of the surface near a world point; `None` where it is not painted.
