@@ -247,7 +247,6 @@ impl Passes<'_> {
             buffer,
             lights: self.lights,
             bounces: None,
-            own_paths: false,
             options: self.options,
             device: self.light_device(),
             counters: &self.counters,

@@ -257,13 +257,14 @@ def render(scene: Any, camera: Camera | None = None, **options: Unpack[RenderOpt
         triangles of meshes and the surfaces of all other objects. The paths collect the reflected light of the lights,
         the emission of surfaces, so that emissive materials are area lights, and the ambient light where it is not
         blocked. They replace `ambient_occlusion` and do not use `far`. Paths are evaluated on the CPU for pictures of
-        every device, and interpolated between pixels like occlusion.
+        every device.
     bounce_samples : int, default 256
-        Number of paths for each evaluated surface with `bounces`. Half as many further paths, with the same directions
-        at all surfaces, decide which surfaces are evaluated. The time is proportional to the number.
+        Number of paths for each visible surface with `bounces`. The time is proportional to the number.
     denoise : bool, default True
-        Whether the noise of the paths of `bounces` is removed by an edge-aware filter over the picture. False leaves
-        the mean of its own paths at each pixel, all of which are evaluated then: it takes several times longer.
+        Whether the noise of the paths of `bounces` is removed by a filter over the picture, which is as wide as the
+        light permits. Pixels then share their paths, so each has a part of them: 3/8 in a picture of 128 pixels along
+        its shorter side, 3/16 for 256, an eighth from 384. False leaves the mean of all its own paths at each pixel,
+        which takes several times longer.
     samples : int, default 1
         Colour samples per pixel, a square number up to 64: 1, 4, 9, 16, ... Higher values smooth edges. A pixel has
         one sample where the displayed colours of neighbouring pixels change evenly, to 1/32, on one object without an

@@ -1,125 +1,93 @@
-//! Removes the noise of sampled light: an edge-aware filter over the pixels of a picture.
+//! Removes the noise of sampled light: a filter over the pixels of a picture, which is as wide as the light permits.
 //!
 //! # Theory
 //!
-//! Light that is sampled by random paths has noise. Each evaluated pixel has paths of its own, so the errors of
-//! neighbours differ, and their mean is more precise than each of them. The filter is the à-trous wavelet
-//! transform with edge-stopping weights (Dammertz et al., *Edge-avoiding à-trous wavelet transform for fast global
-//! illumination filtering*, HPG 2010): repeated sums over 5 x 5 pixels whose distance doubles from one to the next.
+//! Light that is sampled by random paths has noise. Each pixel has paths of its own, so the errors of neighbours
+//! differ, and a mean over pixels is more precise than each of them. Where light changes, the mean has an error of its
+//! own, the bias. The best width of the filter therefore depends on the noise and on the light, and it differs from
+//! pixel to pixel.
 //!
-//! Two pixels share light if their surfaces belong to one instance, lie in one plane and have similar normals, and if a
-//! guide has similar values there. The guide is the same light by fewer paths, which have the same directions at all
-//! pixels. It has errors too, but they change slowly from pixel to pixel, so it shows where light really changes: at
-//! contacts, and at the edges of shadows.
+//! Each pixel has the light of two halves of its paths. The squared difference of the halves is four times the variance
+//! of their mean, plus noise that a mean over neighbours removes. The filter fits a quadratic polynomial to the light
+//! in discs of growing radii around the pixel, by weighted least squares. Its value at the pixel is a linear function
+//! of the light, so the variance of the value follows from the variance of the light. The radius grows as long as the
+//! intervals of all radii, [`CONFIDENCE`] standard deviations around the values, have a point in common: then the bias
+//! is not much larger than the noise (intersection of confidence intervals: Goldenshluger and Nemirovski, *On spatially
+//! adaptive estimation of nonparametric regression*, 1997; for images: Katkovnik, *A new method for varying adaptive
+//! bandwidth selection*, IEEE Transactions on Signal Processing 47(9), 1999). An edge of a shadow ends the growth,
+//! since the values on both sides differ by more than their noise. Noise ends it at some pixels too, so each pixel has
+//! the median of the radii of the pixels around it.
 //!
-//! Only some pixels are evaluated. The sums are normalised convolutions: a pixel without a value has the weight 0, and
-//! obtains one from its neighbours (Knutsson and Westin, CVPR 1993). A sum takes the value of the linear function
-//! nearest to the pixels, since a mean is displaced where they lie on one side, as at the end of a surface. The weight
-//! of a value is the number of evaluated pixels that it has the precision of. A sum replaces only the part of a value
-//! that reduces its error to [`PRECISE`] of the light, by the noise of the picture, so places with many evaluated
-//! pixels keep their detail.
-//!
-//! A mean over pixels flattens peaks of light. The filter is therefore applied a second time to what it has removed,
-//! and the result is added (twicing: Tukey, *Exploratory data analysis*, 1977).
+//! Two pixels share light if their surfaces belong to one instance, lie in one plane and have similar normals. The
+//! emission that arrives directly and the rest of the light are filtered apart, because the first one has edges of
+//! shadows and little noise, and the second one much noise and no edges.
 
-use super::light_buffer::LightBuffer;
 use crate::error::Error;
 use crate::progress::Progress;
+use crate::scene::light::bounces::PathLight;
 use crate::scene::visibility::gbuffer::{GBuffer, Layer};
-use glam::{Mat3, Vec2, Vec3};
+use glam::{DVec3, Vec3, Vec3A, Vec4};
 use rayon::prelude::*;
 
-/// Number of sums. The pixels of the last one are 32 apart at most.
-const SUMS: u32 = 5;
-/// Weights of the five pixels of a row or column: a cubic B-spline.
-const SPLINE: [f32; 3] = [3.0 / 8.0, 1.0 / 4.0, 1.0 / 16.0];
-/// Relative error of light that is precise enough. One step of an 8-bit sRGB value at white is 0.9 %.
-const PRECISE: f32 = 1.0 / 128.0;
-/// Smallest level of light to which the noise is relative, in units of the smallest level for differences.
-const DARK: f32 = 1.0 / 16.0;
-/// Largest distance of two evaluated pixels in a row whose difference shows the noise.
-const NEIGHBOURS: u32 = 8;
-/// Ratio of the standard deviation of a normal distribution to the median of its magnitude.
-const DEVIATION_OF_MEDIAN: f32 = 1.4826;
-/// Relative difference of two values of the guide that reduces their weight to 1/e.
-const GUIDE: f32 = 0.15;
+/// Radii of the discs, pixels.
+const RADII: [f32; 4] = [1.5, 3.0, 6.0, 12.0];
+/// Half the length of a confidence interval, standard deviations: of emission that arrives directly, which has edges,
+/// and of the rest.
+const CONFIDENCE: [f32; 2] = [1.0, 1.5];
+/// The weight of a pixel falls with its squared distance, and would be 0 at this multiple of the squared radius.
+const TAPER: f32 = 1.3;
+/// Weights of the pulls of the linear and of the quadratic coefficients of a polynomial to 0, relative to the pixels,
+/// for offsets in units of the radius.
+const PULLS: [f32; 2] = [0.001, 0.003];
+/// Radius of the disc in which variances are averaged, pixels.
+const VARIANCE_RADIUS: f32 = 3.0;
+/// Radius of the disc in which the median of the radii is taken, pixels.
+const MEDIAN_RADIUS: f32 = 2.9;
 /// Smallest cosine between the normals of surfaces that share light.
 const LEAST_COSINE: f32 = 0.8;
 /// Angle between normals that reduces the weight to 1/e, as a difference of the cosine from 1.
-const NORMAL: f32 = 0.005;
-/// Weight of the pull of the slopes of light to 0, relative to the pixels, for offsets in steps of a sum.
-const SLOPE_PULL: f32 = 0.02;
+const NORMAL: f32 = 0.05;
+/// The same of normals that are equal but for rounding.
+const SAME_NORMAL: f32 = 1e-6;
 /// Largest distance from the plane of a surface at which others share its light, in pixels between the two.
 const OFF_PLANE: f64 = 0.5;
 
-/// Light on the layers of a row: RGB, and the number of evaluated pixels that each value has the precision of.
-type Row = Vec<(Vec3, f32)>;
-
-/// Filters the light of evaluated pixels, those that are known in `own`. `guide` has light on all layers. `unit` is the
-/// smallest level of light to which differences are relative. Returns filtered light on all layers.
-pub(crate) fn filter(
-    buffer: &GBuffer,
-    guide: &LightBuffer,
-    mut own: LightBuffer,
-    unit: f32,
-    progress: &Progress,
-) -> Result<LightBuffer, Error> {
-    let firsts: Vec<Vec<u32>> = buffer.rows.par_iter().map(|row| first_layers(row, buffer.view.size[0])).collect();
-    let evaluated: Vec<Row> = own
-        .rows
-        .iter()
-        .map(|row| {
-            let values = row.values.as_chunks::<3>().0.iter().zip(&row.is_evaluated);
-            values.map(|(value, &known)| (Vec3::from_array(*value), f32::from(u8::from(known)))).collect()
-        })
-        .collect();
-    let enough = (noise(buffer, guide, &evaluated, unit) / PRECISE).powi(2).max(1.0);
-    let picture = Picture { buffer, firsts: &firsts, guide, unit, enough };
-    let mut light = picture.sums(evaluated.clone(), progress)?;
-    let rest = evaluated
-        .iter()
-        .zip(&light)
-        .map(|(row, light)| row.iter().zip(light).map(|(&(value, count), &(mean, _))| (value - mean, count)).collect());
-    let rest = picture.sums(rest.collect(), progress)?;
-    for (row, rest) in light.iter_mut().zip(rest) {
-        row.iter_mut().zip(rest).for_each(|((value, _), (rest, _))| *value += rest);
-    }
-    for ((row, light), guide) in own.rows.iter_mut().zip(light).zip(&guide.rows) {
-        for (i, (value, count)) in light.into_iter().enumerate() {
-            let value = if count > 0.0 { value } else { Vec3::from_slice(&guide.values[3 * i..][..3]) };
-            row.values[3 * i..][..3].copy_from_slice(&value.to_array());
-            row.is_evaluated[i] = true;
-        }
-    }
-    Ok(own)
+/// The light on a layer in two parts: the emission that arrives directly, and the rest.
+#[derive(Debug, Clone, Copy)]
+struct Noisy {
+    light: [Vec3; 2],
+    variance: [Vec3; 2],
 }
 
-/// The relative standard deviation of evaluated light. The light and the guide change alike from a pixel to the next
-/// one, so the differences of their difference are noise.
-fn noise(buffer: &GBuffer, guide: &LightBuffer, evaluated: &[Row], unit: f32) -> f32 {
-    let rows = buffer.rows.par_iter().zip(evaluated).enumerate();
-    let mut differences: Vec<f32> = rows
-        .flat_map_iter(|(y, (layers, values))| {
-            let mut before: Option<(u32, u32, f32)> = None;
-            layers.iter().zip(values).enumerate().filter_map(move |(i, (layer, &(value, count)))| {
-                if count == 0.0 {
-                    return None;
-                }
-                let level = Vec3::from_slice(guide.values_at(y, i).0);
-                let off = (value - level).element_sum() / (3.0 * DARK * unit).max(level.element_sum());
-                let last = before.replace((layer.x, layer.instance, off));
-                let (_, _, other) =
-                    last.filter(|&(x, instance, _)| instance == layer.instance && layer.x.abs_diff(x) <= NEIGHBOURS)?;
-                Some((off - other).abs())
-            })
-        })
-        .collect();
-    if differences.is_empty() {
-        return 0.0;
+impl Noisy {
+    fn new(halves: &[PathLight; 2]) -> Self {
+        let [a, b] = halves.map(|half| [half.emitted, half.rest]);
+        let part = |k: usize| (0.5 * (a[k] + b[k]), 0.25 * (a[k] - b[k]) * (a[k] - b[k]));
+        let [emitted, rest] = [part(0), part(1)];
+        Self { light: [emitted.0, rest.0], variance: [emitted.1, rest.1] }
     }
-    let middle = differences.len() / 2;
-    let (_, median, _) = differences.select_nth_unstable_by(middle, f32::total_cmp);
-    *median * DEVIATION_OF_MEDIAN / std::f32::consts::SQRT_2
+}
+
+/// Filters light by the paths of all layers, which has two halves. Returns the filtered light.
+pub(crate) fn filter(
+    buffer: &GBuffer,
+    halves: &[Vec<[PathLight; 2]>],
+    progress: &Progress,
+) -> Result<Vec<Vec<Vec3>>, Error> {
+    let firsts: Vec<Vec<u32>> = buffer.rows.par_iter().map(|row| first_layers(row, buffer.view.size[0])).collect();
+    let surfaces = buffer.rows.par_iter().enumerate().map(|(y, row)| {
+        let place = |layer: &Layer| buffer.view.position(layer.x, y as u32, layer.depth);
+        let surface = |layer| Surface { place: place(layer), normal: layer.normal, instance: layer.instance };
+        row.iter().map(surface).collect::<Vec<Surface>>()
+    });
+    let picture = Picture { buffer, firsts: &firsts, surfaces: &surfaces.collect::<Vec<_>>() };
+    let noisy: Vec<Vec<Noisy>> = halves.iter().map(|row| row.iter().map(Noisy::new).collect()).collect();
+    let disc = Disc::new(VARIANCE_RADIUS);
+    let noisy = picture.map(progress, |y, i, _| picture.with_mean_variance(&noisy, &disc, y, i))?;
+    let disc = Disc::new(RADII[RADII.len() - 1]);
+    let fitted = picture.map(progress, |y, i, near| picture.fitted(&noisy, &disc, (y, i), near))?;
+    let disc = Disc::new(MEDIAN_RADIUS);
+    picture.map(progress, |y, i, _| picture.chosen(&fitted, &disc, y, i))
 }
 
 /// Index of the first layer of each pixel of a row, and the number of layers.
@@ -135,164 +103,348 @@ fn first_layers(row: &[Layer], width: u32) -> Vec<u32> {
     firsts
 }
 
-/// The surfaces of a picture and its guide.
+/// The pixels of a disc, in the order of their distance.
+struct Disc(Vec<Offset>);
+
+/// The offset of a pixel from the middle of a disc, pixels.
+struct Offset {
+    column: i32,
+    line: i32,
+    squared: i32,
+    /// The products of its coordinates: the terms of a polynomial of the fourth degree.
+    products: [Vec4; MOMENTS],
+}
+
+impl Disc {
+    fn new(radius: f32) -> Self {
+        let most = radius as i32;
+        let across = || -most..=most;
+        let mut offsets: Vec<Offset> = across()
+            .flat_map(|line| across().map(move |column| Offset::new(column, line)))
+            .filter(|offset| offset.squared as f32 <= radius * radius)
+            .collect();
+        offsets.sort_by_key(|offset| offset.squared);
+        Self(offsets)
+    }
+}
+
+impl Offset {
+    fn new(column: i32, line: i32) -> Self {
+        let [x, y] = [column as f32, line as f32];
+        let (xx, xy, yy) = (x * x, x * y, y * y);
+        let products = [
+            Vec4::new(1.0, x, y, xx),
+            Vec4::new(xy, yy, xx * x, xx * y),
+            Vec4::new(x * yy, yy * y, xx * xx, xx * xy),
+            Vec4::new(xx * yy, xy * yy, yy * yy, 0.0),
+        ];
+        Self { column, line, squared: column * column + line * line, products }
+    }
+}
+
+/// A pixel that shares light with another one.
+struct Near {
+    /// Index in the disc, and the squared distance.
+    offset: usize,
+    squared: f32,
+    weight: f32,
+    light: [Vec3A; 2],
+}
+
+/// The surfaces of a picture.
 struct Picture<'a> {
     buffer: &'a GBuffer,
     firsts: &'a [Vec<u32>],
-    guide: &'a LightBuffer,
-    /// Smallest level of light to which differences are relative.
-    unit: f32,
-    /// Number of evaluated pixels whose mean is precise enough.
-    enough: f32,
+    surfaces: &'a [Vec<Surface>],
+}
+
+/// The surface of a layer.
+struct Surface {
+    /// World position.
+    place: DVec3,
+    normal: Vec3,
+    instance: u32,
 }
 
 impl Picture<'_> {
-    /// All sums of the light on the layers.
-    fn sums(&self, mut light: Vec<Row>, progress: &Progress) -> Result<Vec<Row>, Error> {
-        for sum in 0..SUMS {
-            light = (0..light.len())
-                .into_par_iter()
-                .map(|y| {
-                    progress.check()?;
-                    Ok((0..light[y].len()).map(|i| self.sum(&light, y, i, 1 << sum)).collect())
-                })
-                .collect::<Result<_, Error>>()?;
-        }
-        Ok(light)
+    /// Computes a value for each layer. `value` receives its row and its index, and a buffer for its neighbours.
+    fn map<T: Send>(
+        &self,
+        progress: &Progress,
+        value: impl Fn(usize, usize, &mut Vec<Near>) -> T + Sync,
+    ) -> Result<Vec<Vec<T>>, Error> {
+        let rows = self.surfaces.par_iter().enumerate().map(|(y, row)| {
+            progress.check()?;
+            let mut near = Vec::new();
+            Ok((0..row.len()).map(|i| value(y, i, &mut near)).collect())
+        });
+        rows.collect()
     }
 
-    /// The value at layer `i` of row `y` of the linear function nearest to 5 x 5 pixels around it, which are `apart`
-    /// from each other.
-    fn sum(&self, light: &[Row], y: usize, i: usize, apart: i32) -> (Vec3, f32) {
-        let own = light[y][i];
-        if own.1 >= self.enough {
-            return own;
-        }
-        let view = &self.buffer.view;
+    /// Calls `visit` for a layer, and for layers of the other pixels in a disc that share light with it, one for each
+    /// pixel: with the index in the disc, the weight, the row and the index of the layer.
+    #[inline(always)]
+    fn visit(&self, disc: &Disc, y: usize, i: usize, mut visit: impl FnMut(usize, f32, usize, usize)) {
         let layer = &self.buffer.rows[y][i];
-        let p = view.position(layer.x, y as u32, layer.depth);
-        let pixel = view.pixel_size_at(layer.depth);
-        let level = Vec3::from_slice(self.guide.values_at(y, i).0);
-        let mut fit = LinearFit::new();
-        for dy in -2..=2i32 {
-            let line = y as i32 + dy * apart;
-            let Some(firsts) = usize::try_from(line).ok().and_then(|line| self.firsts.get(line)) else { continue };
-            let line = line as usize;
-            for dx in -2..=2i32 {
-                let column = layer.x as i32 + dx * apart;
-                if column < 0 || column >= view.size[0] as i32 {
-                    continue;
-                }
-                let column = column as usize;
-                for k in firsts[column] as usize..firsts[column + 1] as usize {
-                    let (value, count) = light[line][k];
-                    let other = &self.buffer.rows[line][k];
-                    let cosine = other.normal.dot(layer.normal);
-                    if count == 0.0 || other.instance != layer.instance || cosine < LEAST_COSINE {
-                        continue;
-                    }
-                    let off = view.position(other.x, line as u32, other.depth) - p;
-                    let reach = OFF_PLANE * pixel * f64::from(apart * dx.abs().max(dy.abs())).max(1.0);
-                    if layer.normal.as_dvec3().dot(off).abs() > reach {
-                        continue;
-                    }
-                    let other_level = Vec3::from_slice(self.guide.values_at(line, k).0);
-                    let brightest = level.max(other_level).max_element().max(self.unit);
-                    let change = (other_level - level).abs().max_element() / (GUIDE * brightest);
-                    let weight = SPLINE[dx.unsigned_abs() as usize]
-                        * SPLINE[dy.unsigned_abs() as usize]
-                        * (-change * change - (1.0 - cosine) / NORMAL).exp();
-                    fit.add(Vec2::new(dx as f32, dy as f32), weight, count, value);
+        let own = &self.surfaces[y][i];
+        let normal = own.normal.as_dvec3();
+        let reach = OFF_PLANE * self.buffer.view.pixel_size_at(layer.depth);
+        let [width, height] = [self.buffer.view.size[0] as i32, self.firsts.len() as i32];
+        visit(0, 1.0, y, i);
+        for (number, &Offset { column, line, .. }) in disc.0.iter().enumerate().skip(1) {
+            let apart = f64::from(column.abs().max(line.abs()));
+            let (column, line) = (layer.x as i32 + column, y as i32 + line);
+            if column < 0 || line < 0 || column >= width || line >= height {
+                continue;
+            }
+            let (column, line) = (column as usize, line as usize);
+            let firsts = &self.firsts[line];
+            for k in firsts[column] as usize..firsts[column + 1] as usize {
+                let other = &self.surfaces[line][k];
+                let cosine = other.normal.dot(own.normal);
+                if other.instance == own.instance
+                    && cosine >= LEAST_COSINE
+                    && normal.dot(other.place - own.place).abs() <= reach * apart
+                {
+                    let turned = 1.0 - cosine;
+                    let weight = if turned < SAME_NORMAL { 1.0 } else { (-turned / NORMAL).exp() };
+                    visit(number, weight, line, k);
                     break;
                 }
             }
         }
-        let (value, count) = fit.at_center();
-        if count <= own.1 {
-            return own;
+    }
+
+    /// The light on a layer with the mean of the variances around it.
+    fn with_mean_variance(&self, noisy: &[Vec<Noisy>], disc: &Disc, y: usize, i: usize) -> Noisy {
+        let (mut sum, mut total) = ([Vec3::ZERO; 2], 0.0);
+        self.visit(disc, y, i, |_, weight, line, k| {
+            let variance = noisy[line][k].variance;
+            sum = [0, 1].map(|part| sum[part] + weight * variance[part]);
+            total += weight;
+        });
+        Noisy { light: noisy[y][i].light, variance: sum.map(|sum| sum / total) }
+    }
+
+    /// The values of all fits at a layer, and the largest radii with a small bias.
+    fn fitted(&self, noisy: &[Vec<Noisy>], disc: &Disc, (y, i): (usize, usize), near: &mut Vec<Near>) -> Fitted {
+        near.clear();
+        self.visit(disc, y, i, |offset, weight, line, k| {
+            let light = noisy[line][k].light.map(Vec3A::from);
+            near.push(Near { offset, squared: disc.0[offset].squared as f32, weight, light });
+        });
+        let Noisy { light, variance } = noisy[y][i];
+        let halves = [0, 1].map(|part| CONFIDENCE[part] * variance[part].map(f32::sqrt));
+        let mut values = [light; RADII.len() + 1];
+        let mut intervals = [0, 1].map(|part| Interval::new(light[part], halves[part]));
+        for (values, radius) in values[1..].iter_mut().zip(RADII) {
+            let within = near.partition_point(|near| near.squared <= radius * radius);
+            let variance;
+            (*values, variance) = Fit::new(disc, &near[..within], radius).at_center();
+            for (part, interval) in intervals.iter_mut().enumerate() {
+                interval.narrow(values[part], variance.sqrt() * halves[part]);
+            }
         }
-        // The part of the sum that reduces the error of the value to the error of the mean of enough pixels.
-        let part = ((1.0 - (own.1 / self.enough).sqrt()) / (1.0 - (own.1 / count).sqrt())).min(1.0);
-        (own.0.lerp(value, part), count.min(self.enough))
+        Fitted { values, radius: intervals.map(|interval| interval.count) }
+    }
+
+    /// The light on a layer, by the median of the radii of the layers in a disc.
+    fn chosen(&self, fitted: &[Vec<Fitted>], disc: &Disc, y: usize, i: usize) -> Vec3 {
+        let mut counts = [[0; RADII.len() + 1]; 2];
+        let mut layers = 0;
+        self.visit(disc, y, i, |_, _, line, k| {
+            for (counts, radius) in counts.iter_mut().zip(fitted[line][k].radius) {
+                counts[radius] += 1;
+            }
+            layers += 1;
+        });
+        let values = &fitted[y][i].values;
+        let parts = [0, 1].map(|part| {
+            let mut below = 0;
+            let radius = counts[part].iter().position(|count| {
+                below += count;
+                2 * below > layers
+            });
+            values[radius.unwrap_or(0)][part].max(Vec3::ZERO)
+        });
+        parts[0] + parts[1]
     }
 }
 
-/// Weighted sums over pixels for the linear function that is nearest to their values.
-struct LinearFit {
-    /// The normal equations for the value at the centre and the slopes along both axes.
-    matrix: Mat3,
-    right: [Vec3; 3],
-    /// Sums of squared weights, times the same products as in the matrix.
-    squares: Mat3,
-    /// The range of the values.
+/// The values of the fits at a layer.
+struct Fitted {
+    /// Both parts of the light: of the pixel alone, then of each radius.
+    values: [[Vec3; 2]; RADII.len() + 1],
+    /// Index of the largest radius with a small bias, for both parts.
+    radius: [usize; 2],
+}
+
+/// The values that lie in the confidence intervals of all radii so far.
+struct Interval {
     lower: Vec3,
     upper: Vec3,
+    /// Number of radii, without the pixel alone.
+    count: usize,
+    is_final: bool,
 }
 
-impl LinearFit {
-    fn new() -> Self {
-        let (lower, upper) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-        Self { matrix: Mat3::ZERO, right: [Vec3::ZERO; 3], squares: Mat3::ZERO, lower, upper }
+impl Interval {
+    /// The interval of half the length `half` around the light of a pixel.
+    fn new(light: Vec3, half: Vec3) -> Self {
+        Self { lower: light - half, upper: light + half, count: 0, is_final: false }
     }
 
-    /// Adds a pixel at an offset from the centre, whose value has the precision of `count` evaluated pixels.
-    fn add(&mut self, offset: Vec2, weight: f32, count: f32, value: Vec3) {
-        let row = Vec3::new(1.0, offset.x, offset.y);
-        let products = Mat3::from_cols(row, row * offset.x, row * offset.y);
-        self.matrix += products * (weight * count);
-        self.squares += products * (weight * weight * count);
-        (self.lower, self.upper) = (self.lower.min(value), self.upper.max(value));
-        let value = weight * count * value;
-        self.right = [self.right[0] + value, self.right[1] + value * offset.x, self.right[2] + value * offset.y];
+    /// Adds the interval of a radius, unless it has no point in common with the others.
+    fn narrow(&mut self, value: Vec3, half: Vec3) {
+        (self.lower, self.upper) = (self.lower.max(value - half), self.upper.min(value + half));
+        self.is_final |= !self.lower.cmple(self.upper).all();
+        self.count += usize::from(!self.is_final);
     }
+}
 
-    /// The value at the centre, and the number of evaluated pixels that it has the precision of.
-    fn at_center(&self) -> (Vec3, f32) {
-        let total = self.matrix.x_axis.x;
-        if total <= 0.0 {
-            return (Vec3::ZERO, 0.0);
+/// Number of terms of a quadratic polynomial in two variables, and of vectors for the terms up to the fourth degree.
+const TERMS: usize = 6;
+const MOMENTS: usize = 4;
+/// Index of the product of two terms `1, x, y, xx, xy, yy` in the terms `1, x, y, xx, xy, yy, xxx, ...`.
+const PRODUCTS: [[usize; TERMS]; TERMS] = [
+    [0, 1, 2, 3, 4, 5],
+    [1, 3, 4, 6, 7, 8],
+    [2, 4, 5, 7, 8, 9],
+    [3, 6, 7, 10, 11, 12],
+    [4, 7, 8, 11, 12, 13],
+    [5, 8, 9, 12, 13, 14],
+];
+/// Degrees of the terms.
+const DEGREES: [i32; TERMS] = [0, 1, 1, 2, 2, 2];
+
+/// Weighted sums over pixels for the quadratic polynomial that is nearest to their light.
+struct Fit {
+    radius: f32,
+    moments: [Vec4; MOMENTS],
+    /// The moments with squared weights.
+    squares: [Vec4; MOMENTS],
+    /// The light times each term.
+    right: [[Vec3A; 2]; TERMS],
+}
+
+impl Fit {
+    fn new(disc: &Disc, near: &[Near], radius: f32) -> Self {
+        let (mut moments, mut squares) = ([Vec4::ZERO; MOMENTS], [Vec4::ZERO; MOMENTS]);
+        let mut right = [[Vec3A::ZERO; 2]; TERMS];
+        let slope = 1.0 / (TAPER * radius * radius);
+        for near in near {
+            let weight = near.weight * (1.0 - slope * near.squared);
+            let products = &disc.0[near.offset].products;
+            for ((moment, square), &product) in moments.iter_mut().zip(&mut squares).zip(products) {
+                let weighted = weight * product;
+                *moment += weighted;
+                *square += weight * weighted;
+            }
+            let [a, b] = near.light.map(|light| weight * light);
+            let [first, second] = [products[0], products[1]];
+            let terms = [1.0, first.y, first.z, first.w, second.x, second.y];
+            for (right, term) in right.iter_mut().zip(terms) {
+                right[0] += term * a;
+                right[1] += term * b;
+            }
         }
-        // A small pull of the slopes to 0 determines them where the pixels lie on a line.
-        let pull = Mat3::from_diagonal(SLOPE_PULL * total * Vec3::new(0.0, 1.0, 1.0));
-        let shares = ((self.matrix + pull) * (1.0 / total)).inverse().x_axis / total;
-        let value = self.right[0] * shares.x + self.right[1] * shares.y + self.right[2] * shares.z;
-        // A function through pixels on one side may leave their range.
-        (value.clamp(self.lower, self.upper), 1.0 / shares.dot(self.squares * shares))
+        Self { radius, moments, squares, right }
     }
+
+    /// Both parts of the light at the centre, and the variance relative to the variance of a pixel.
+    fn at_center(&self) -> ([Vec3; 2], f32) {
+        let total = self.moments[0].x;
+        // In units of the radius all products are about 1.
+        let scales = DEGREES.map(|degree| self.radius.powi(-degree));
+        let matrix_of = |sums: &[Vec4; MOMENTS]| -> [[f32; TERMS]; TERMS] {
+            std::array::from_fn(|a| {
+                std::array::from_fn(|b| {
+                    let product = PRODUCTS[a][b];
+                    sums[product / 4][product % 4] * scales[a] * scales[b] / total
+                })
+            })
+        };
+        let mut matrix = matrix_of(&self.moments);
+        for (term, row) in matrix.iter_mut().enumerate().skip(1) {
+            row[term] += PULLS[usize::from(term > 2)];
+        }
+        let shares = first_of_inverse(matrix);
+        let mut values = [Vec3A::ZERO; 2];
+        for ((share, scale), right) in shares.iter().zip(scales).zip(&self.right) {
+            values = [0, 1].map(|part| values[part] + share * scale / total * right[part]);
+        }
+        let spread =
+            matrix_of(&self.squares).map(|row| row.iter().zip(shares).map(|(x, share)| x * share).sum::<f32>());
+        let variance = spread.iter().zip(shares).map(|(spread, share)| spread * share).sum::<f32>() / total;
+        (values.map(Vec3::from), variance.max(0.0))
+    }
+}
+
+/// The first row of the inverse of a positive definite matrix, by Gaussian elimination from the last row.
+fn first_of_inverse(mut matrix: [[f32; TERMS]; TERMS]) -> [f32; TERMS] {
+    // Elimination upwards leaves the first equation with one unknown; the others follow from it.
+    for pivot in (1..TERMS).rev() {
+        let lower = matrix[pivot];
+        for row in &mut matrix[..pivot] {
+            let factor = row[pivot] / lower[pivot];
+            row.iter_mut().zip(lower).take(pivot + 1).for_each(|(value, below)| *value -= factor * below);
+        }
+    }
+    let mut found = [0.0; TERMS];
+    for term in 0..TERMS {
+        let known: f32 = (0..term).map(|k| matrix[term][k] * found[k]).sum();
+        found[term] = (f32::from(u8::from(term == 0)) - known) / matrix[term][term];
+    }
+    found
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_fit_to_pixels_on_one_side_is_the_linear_function_at_the_centre() {
-        let value = |offset: Vec2| Vec3::new(2.0, 3.0, 5.0) + Vec3::new(0.1, -0.2, 0.3) * offset.x + 0.2 * offset.y;
-        let (mut fit, mut mean) = (LinearFit::new(), Vec3::ZERO);
-        for i in 0..15 {
-            let offset = Vec2::new((i % 3) as f32, (i / 3) as f32 - 2.0);
-            fit.add(offset, 1.0, 1.0, value(offset));
-            mean += value(offset) / 15.0;
-        }
-        let (found, count) = fit.at_center();
-        // The pull leaves a part of the error of the mean: of the slope along x, whose variance is 2/3.
-        let left = SLOPE_PULL / (2.0 / 3.0 + SLOPE_PULL);
-        assert!((found - value(Vec2::ZERO)).abs().max_element() <= 2.0 * left * 0.3);
-        assert!(
-            (found - value(Vec2::ZERO)).abs().max_element() <= 0.1 * (mean - value(Vec2::ZERO)).abs().max_element()
-        );
-        // The variance at an end of three equal steps is 1/3 + 1/2, and there are five rows of them.
-        let expected = 5.0 / (1.0 / 3.0 + 1.0 / 2.0);
-        assert!((count / expected - 1.0).abs() <= 0.1, "{count}");
+    /// Pixels of a half disc of the radius 6 with this light, of the weight 1.
+    fn half_disc(disc: &Disc, light: impl Fn(f32, f32) -> f32) -> Vec<Near> {
+        let right = disc.0.iter().enumerate().filter(|(_, offset)| offset.column >= 0);
+        right
+            .map(|(number, offset)| {
+                let value = Vec3A::splat(light(offset.column as f32, offset.line as f32));
+                Near { offset: number, squared: offset.squared as f32, weight: 1.0, light: [value, 2.0 * value] }
+            })
+            .collect()
     }
 
     #[test]
-    fn a_fit_has_the_precision_of_all_pixels_around() {
-        let mut fit = LinearFit::new();
-        for i in 0..25 {
-            fit.add(Vec2::new((i % 5) as f32 - 2.0, (i / 5) as f32 - 2.0), 1.0, 2.0, Vec3::splat((i % 2) as f32));
-        }
-        let (found, count) = fit.at_center();
-        assert!((found.x - 12.0 / 25.0).abs() <= 1e-6 && (count - 50.0).abs() <= 1e-3);
+    fn a_fit_to_pixels_on_one_side_is_the_polynomial_at_the_centre() {
+        let disc = Disc::new(6.0);
+        let near = half_disc(&disc, |x, y| 3.0 + 0.2 * x - 0.1 * y + 0.01 * (x * x - x * y + 2.0 * y * y));
+        let ([first, second], variance) = Fit::new(&disc, &near, 6.0).at_center();
+        let mean = near.iter().map(|near| near.light[0].x).sum::<f32>() / near.len() as f32;
+        // The pulls are a thousandth of the pixels, whose squared coordinates have means of 1/6 and more.
+        assert!((first.x - 3.0).abs() <= 0.1 * (mean - 3.0).abs(), "{first} {mean}");
+        assert!((second - 2.0 * first).abs().max_element() <= 1e-5);
+        // No fit has less noise than the mean, and the pixel alone is a worse fit.
+        assert!(variance >= 1.0 / near.len() as f32 && variance <= 1.0, "{variance}");
+    }
+
+    #[test]
+    fn the_variance_of_a_fit_is_the_sum_of_its_squared_shares() {
+        let disc = Disc::new(6.0);
+        let near = |k: usize| {
+            half_disc(&disc, |x, y| f32::from(u8::from(disc.0[k].column as f32 == x && disc.0[k].line as f32 == y)))
+        };
+        let shares = (0..disc.0.len()).map(|k| Fit::new(&disc, &near(k), 6.0).at_center().0[0].x);
+        let expected: f32 = shares.map(|share| share * share).sum();
+        let (_, variance) = Fit::new(&disc, &near(0), 6.0).at_center();
+        assert!((variance / expected - 1.0).abs() <= 1e-3, "{variance} {expected}");
+    }
+
+    #[test]
+    fn an_interval_ends_where_values_differ_by_more_than_their_noise() {
+        let half = Vec3::splat(0.5);
+        let mut interval = Interval::new(Vec3::splat(1.0), half);
+        interval.narrow(Vec3::splat(1.4), 0.5 * half);
+        interval.narrow(Vec3::new(1.4, 1.4, 2.0), 0.1 * half);
+        interval.narrow(Vec3::splat(1.4), 0.1 * half);
+        assert_eq!(interval.count, 1);
     }
 }

@@ -6,8 +6,9 @@
 //! evaluates it at the centres of the pixels. Every other surface has the bilinearly weighted mean of the light on the
 //! four evaluated surfaces around it that belong to the same instance, lie in its plane and have a similar normal
 //! (joint bilateral upsampling: Kopf et al., SIGGRAPH 2007). Where too few of them match, or where they disagree, as at
-//! the edge of a shadow, the light is evaluated. Occlusion and indirect light are smoother than shadows, so they are
-//! evaluated on a coarser lattice, and their interpolation regards normals and curvature ([`super::upsampling`]).
+//! the edge of a shadow, the light is evaluated. Occlusion is smoother than shadows, so it is evaluated on a coarser
+//! lattice, and its interpolation regards normals and curvature ([`super::upsampling`]). Indirect light is evaluated at
+//! all pixels with few paths, and filtered ([`super::denoise`]).
 
 use super::denoise;
 use super::device_beams::evaluate_by_beams;
@@ -15,31 +16,41 @@ use super::device_light::light_faces;
 use super::light_buffer::{LightBuffer, LightRow, parts_of};
 use super::pass::Pass;
 use super::tile::{TILE, Tiles};
-use super::upsampling::{gather, least_level};
+use super::upsampling::gather;
 use crate::error::Error;
 use crate::scene::content::options::{RenderOptions, SceneShadows};
-use crate::scene::light::bounces::{Bounces, Paths};
+use crate::scene::light::bounces::Bounces;
 use crate::scene::light::light_rays::LightWork;
 use crate::scene::light::lit_surface::{Lights, LitSurface};
 use crate::scene::light::occlusion::NearOccluders;
 use crate::scene::visibility::gbuffer::GBuffer;
 use rayon::prelude::*;
 
-/// Occlusion and indirect light are evaluated at one of this many pixels along each side. Between these pixels they are
+/// Occlusion is evaluated at one of this many pixels along each side. Between these pixels they are
 /// interpolated on lattices that are twice as fine from one to the next. A pixel is also evaluated if its neighbours on
 /// the coarser lattice lie on other surfaces or disagree, or if another surface is visible near it.
 const SMOOTH_SCALE: u32 = 8;
 
-/// Smallest number of evaluated pixels along the shorter side of a picture with indirect light. The light on a large
-/// wall changes slowly, but much from one side to the other.
-const LEAST_BOUNCES: u32 = 32;
-/// The same for occlusion. A wider lattice would miss the occlusion beside an object of a twelfth of a small picture.
+/// Smallest number of evaluated pixels along the shorter side of a picture with occlusion. A wider lattice would miss
+/// the occlusion beside an object of a twelfth of a small picture.
 const LEAST_OPEN: u32 = 24;
 
-/// Distance of the evaluated pixels of a picture with at least this number of them along its shorter side.
-fn smooth_scale([width, height]: [u32; 2], least: u32) -> u32 {
+/// Number of pixels along the shorter side of a picture in which each pixel has all paths, if light is filtered. In a
+/// larger picture more pixels share their paths.
+const ALL_PATHS: u32 = 36;
+/// Smallest part of the paths that a pixel has, as its inverse.
+const LEAST_PATHS: u32 = 8;
+
+/// Number of paths in each half of the paths of a pixel of a picture with filtered light.
+fn half_of_paths(samples: u32, [width, height]: [u32; 2]) -> u32 {
+    let side = u64::from(width.min(height).clamp(ALL_PATHS, LEAST_PATHS * ALL_PATHS));
+    (u64::from(samples) * u64::from(ALL_PATHS)).div_ceil(2 * side) as u32
+}
+
+/// Distance of the evaluated pixels of a picture with occlusion.
+fn smooth_scale([width, height]: [u32; 2]) -> u32 {
     let mut every = SMOOTH_SCALE;
-    while every > 1 && every * least > width.min(height) {
+    while every > 1 && every * LEAST_OPEN > width.min(height) {
         every /= 2;
     }
     every
@@ -54,15 +65,13 @@ pub(crate) const ROW_PROGRESS: u64 = 12;
 pub(crate) fn find_count(options: &RenderOptions, passes: u32, is_lit: bool) -> u64 {
     // The occlusion of a first pass is computed separately from the lights, at its own scale.
     let direct = if is_lit { 0 } else { u64::from(passes) + u64::from(options.occlusion.is_some()) };
-    // The first pass finds the light of common paths, then of own ones.
-    let indirect = u64::from(passes) + u64::from(options.denoise);
-    direct + if options.bounces.is_some() { indirect } else { 0 }
+    direct + if options.bounces.is_some() { u64::from(passes) } else { 0 }
 }
 
 /// Finds the occlusion of a pass at its scale, then the light that arrives from the lights.
 fn find_apart(pass: &Pass<'_>) -> Result<LightBuffer, Error> {
     let no_lights = Lights { lights: Vec::new() };
-    let open = find_at(&Pass { lights: &no_lights, ..*pass }, smooth_scale(pass.options.size, LEAST_OPEN))?;
+    let open = find_at(&Pass { lights: &no_lights, ..*pass }, smooth_scale(pass.options.size))?;
     let options = RenderOptions { occlusion: None, ..pass.options.clone() };
     let mut evaluated = find_at(&Pass { options: &options, ..*pass }, options.light_scale)?;
     let stride = evaluated.stride;
@@ -92,29 +101,37 @@ pub(crate) fn find_bounces(
     centre: Option<(&GBuffer, &LightBuffer)>,
 ) -> Result<LightBuffer, Error> {
     let no_lights = Lights { lights: Vec::new() };
-    let pass = Pass { lights: &no_lights, bounces: Some(bounces), own_paths: true, device: None, ..*pass };
+    let pass = Pass { lights: &no_lights, bounces: Some(bounces), device: None, ..*pass };
     if let Some((buffer, centre)) = centre {
         return find_between(&pass, buffer, centre);
     }
-    let mut own = unevaluated(&pass);
+    let mut light = unevaluated(&pass);
     if !pass.options.denoise {
-        evaluate(&pass, &mut own, &|_, _| true, ROW_PROGRESS)?;
-        return Ok(own);
+        evaluate(&pass, &mut light, &|_, _| true, ROW_PROGRESS)?;
+        return Ok(light);
     }
-    let every = smooth_scale(pass.options.size, LEAST_BOUNCES);
-    let guide = find_at(&Pass { own_paths: false, ..pass }, every)?;
-    let is_evaluated = |work: &LightWork| work.rays > 0;
-    for (own, guide) in own.rows.iter_mut().zip(&guide.rows) {
-        own.is_evaluated = guide.work.iter().map(|work| !is_evaluated(work)).collect();
+    let paths = half_of_paths(bounces.samples(), pass.options.size);
+    let halves = light.rows.par_iter_mut().enumerate().map(|(y, row)| {
+        let mut total = LightWork::default();
+        let layers = pass.buffer.rows[y].iter().zip(&mut row.work);
+        let halves = layers.map(|(layer, work)| {
+            pass.progress.check()?;
+            let surface = LitSurface::new(pass.traced.scene, pass.buffer, y, layer);
+            let halves = bounces.parts_on(&surface.place, [layer.x, y as u32], paths, work);
+            total += *work;
+            Ok(halves)
+        });
+        let halves = halves.collect::<Result<Vec<_>, Error>>()?;
+        pass.counters.add(total);
+        pass.progress.advance(ROW_PROGRESS)?;
+        Ok(halves)
+    });
+    let filtered = denoise::filter(pass.buffer, &halves.collect::<Result<Vec<_>, Error>>()?, pass.progress)?;
+    for (row, filtered) in light.rows.iter_mut().zip(filtered) {
+        row.values = filtered.into_iter().flat_map(|value| value.to_array()).collect();
+        row.is_evaluated.fill(true);
     }
-    evaluate(&pass, &mut own, &|_, _| true, ROW_PROGRESS)?;
-    for (own, guide) in own.rows.iter_mut().zip(&guide.rows) {
-        for ((evaluated, work), &common) in own.is_evaluated.iter_mut().zip(&mut own.work).zip(&guide.work) {
-            *evaluated = is_evaluated(&common);
-            *work += common;
-        }
-    }
-    denoise::filter(pass.buffer, &guide, own, least_level(pass.options), pass.progress)
+    Ok(light)
 }
 
 /// Interpolates light from a G-buffer at the centres of the pixels, and evaluates the rest.
@@ -209,8 +226,8 @@ fn evaluate_row(
                 Some(bounces) => {
                     let mut work = LightWork::default();
                     // Neighbours with another material interpolate the light of surfaces without lighting too.
-                    let paths = if pass.own_paths { Paths::Own { x: layer.x, y: y as u32 } } else { Paths::Common };
-                    values.copy_from_slice(&bounces.light_on(&surface.place, paths, &mut work).to_array());
+                    let found = bounces.light_on(&surface.place, [layer.x, y as u32], &mut work);
+                    values.copy_from_slice(&found.to_array());
                     pass.progress.check()?;
                     work
                 }

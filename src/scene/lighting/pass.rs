@@ -17,8 +17,6 @@ pub(crate) struct Pass<'a> {
     pub lights: &'a Lights,
     /// Set for the evaluation of indirect light alone.
     pub bounces: Option<&'a Bounces<'a>>,
-    /// Whether each pixel has paths of its own.
-    pub own_paths: bool,
     pub options: &'a RenderOptions,
     /// Device of the light pass; None for the CPU.
     pub device: Option<&'a DeviceScene>,

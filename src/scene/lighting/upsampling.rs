@@ -38,22 +38,19 @@ struct OpenLimits {
 }
 
 impl OpenLimits {
-    /// Limits for evaluated pixels that are `every` pixels apart. Paths of indirect light cost more than occlusion, and
-    /// their picture is filtered.
-    fn new(every: u32, is_indirect: bool) -> Self {
+    /// Limits for evaluated pixels that are `every` pixels apart.
+    fn new(every: u32) -> Self {
         let smooth = 1.0 / every as f32;
-        let most = if is_indirect { 0.25 } else { 1.0 / 16.0 };
-        let agree = if every == 1 { 0.25 } else { (smooth * smooth).min(most) };
+        let agree = if every == 1 { 0.25 } else { (smooth * smooth).min(1.0 / 16.0) };
         let enough = if every > 4 { ALL } else { ENOUGH };
-        let apart = if is_indirect { every * every / 16 } else { every / 2 };
-        Self { agree, smooth, bend: smooth / 16.0, enough, apart }
+        Self { agree, smooth, bend: smooth / 16.0, enough, apart: every / 2 }
     }
 }
 
 /// Smallest level of indirect light, times the exposure, to which limits are relative.
 const LEAST_LEVEL: f32 = 1.0 / 16.0;
 /// Smallest level of indirect light to which limits are relative.
-pub(crate) fn least_level(options: &RenderOptions) -> f32 {
+fn least_level(options: &RenderOptions) -> f32 {
     LEAST_LEVEL / options.exposure.max(f32::MIN_POSITIVE)
 }
 
@@ -75,7 +72,7 @@ pub(crate) fn gather(
 ) -> Result<(), Error> {
     let stride = light.stride;
     // Without lights, these are the values of occlusion or of indirect light.
-    let open = pass.lights.lights.is_empty().then(|| OpenLimits::new(every, pass.bounces.is_some()));
+    let open = pass.lights.lights.is_empty().then(|| OpenLimits::new(every));
     let agree = AGREE * (2.0 / every as f32).min(1.0);
     light.rows.par_iter_mut().enumerate().try_for_each(|(y, row)| {
         let mut neighbours = Vec::with_capacity(4);

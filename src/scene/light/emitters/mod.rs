@@ -13,8 +13,9 @@
 //!   p_k t^2 / (A_k cos)
 //! ```
 //!
-//! Directions at random and directions to emitters are combined by the balance heuristic (Veach and Guibas, *Optimally
-//! combining sampling techniques for Monte Carlo rendering*, SIGGRAPH 1995). No value exceeds the emission.
+//! Directions at random and directions to emitters are combined by the power heuristic (Veach and Guibas, *Optimally
+//! combining sampling techniques for Monte Carlo rendering*, SIGGRAPH 1995): few directions at random hit a small
+//! emitter, so the hits have little weight. No value exceeds the emission.
 
 use super::light_hits::{LEAST_OPACITY, LightHit};
 use super::light_rays::{LightRay, LightWork, SurfacePoint};
@@ -33,12 +34,16 @@ use glam::{DAffine3, DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 use std::f64::consts::PI;
 use std::ops::Range;
+pub(crate) use tree::Cut;
 use tree::{Bounds, EmitterTree, LEAF};
 
 mod tree;
 
 /// Relative distance within which a hit lies on a face.
 const SAME_PLACE: f64 = 1e-4;
+
+/// Number of groups of emitters for each path. A group takes a hundredth of the time of a path.
+const GROUPS_PER_PATH: usize = 16;
 
 /// Number of faces between two checks of the progress: about a millisecond.
 const BATCH: usize = 1 << 14;
@@ -236,6 +241,24 @@ impl Emitters {
         Ok(Self { list, tree, lamps })
     }
 
+    /// The emitters in groups, by their light at a place, from which the directions of this number of paths are drawn.
+    pub(crate) fn cut(&self, place: &SurfacePoint, paths: u32) -> Option<Cut> {
+        self.tree.cut(place.p, place.normal.as_dvec3(), GROUPS_PER_PATH * paths as usize)
+    }
+
+    /// Whether a ray may hit an emitter.
+    pub(crate) fn may_be_hit(&self, place: &SurfacePoint, direction: DVec3) -> bool {
+        self.tree.may_be_hit(place.p, direction)
+    }
+
+    /// Whether directions are drawn to all surfaces of a scene that emit light.
+    pub(crate) fn are_all(&self, scene: &Scene) -> bool {
+        scene.instances.iter().zip(&self.lamps).all(|(instance, lamp)| {
+            let mut own = instance.own_materials(&scene.materials).iter();
+            !matches!(lamp, Lamp::Nothing) || own.all(|own| !own.unlit && own.emission == [0.0; 3])
+        }) && scene.materials.iter().all(|material| !material.unlit)
+    }
+
     pub(crate) fn is_empty(&self) -> bool {
         self.list.is_empty()
     }
@@ -251,8 +274,9 @@ impl Emitters {
     }
 
     /// The probability that a place draws the emitter at a position in the list, divided by its area times brightness.
-    fn density_of(&self, emitter: u32, place: &SurfacePoint) -> f64 {
-        let (leaf, probability) = self.tree.leaf_of(emitter as usize, place.p, place.normal.as_dvec3());
+    fn density_of(&self, emitter: u32, place: &SurfacePoint, cut: Option<&Cut>) -> f64 {
+        let (p, normal) = (place.p, place.normal.as_dvec3());
+        let (leaf, probability) = self.tree.leaf_of(cut, emitter as usize, p, normal);
         self.density(&leaf, probability)
     }
 
@@ -262,6 +286,7 @@ impl Emitters {
         &self,
         scene: &Scene,
         place: &SurfacePoint,
+        cut: Option<&Cut>,
         ray: &LightRay,
         hit: &LightHit,
     ) -> f32 {
@@ -276,17 +301,18 @@ impl Emitters {
                 };
                 let cross = PlacedFace::new(triangles, hit.face, instance.tree_from_scene.inverse()).cross;
                 let cosine = cross.normalize().dot(ray.direction).abs();
-                let per_area = brightness(&scene.materials[hit.material as usize]) * self.density_of(position, place);
+                let per_area =
+                    brightness(&scene.materials[hit.material as usize]) * self.density_of(position, place, cut);
                 per_area * hit.t * hit.t / cosine.max(f64::MIN_POSITIVE)
             }
             Lamp::Boxed(around, position) => {
                 let Some(sides) = around.facing(place.p) else { return 1.0 };
                 let own = &self.list[*position as usize];
-                let share = (own.end - self.start(*position as usize)) * self.density_of(*position, place);
+                let share = (own.end - self.start(*position as usize)) * self.density_of(*position, place, cut);
                 share * sides.density(place.p, ray.direction)
             }
         };
-        balance(density_of_direction(place, ray), drawn)
+        weight_of_direction(density_of_direction(place, ray), drawn)
     }
 
     /// The light of one direction to the emitters that a white surface reflects, RGB. The two values of `at`, from 0 to
@@ -295,10 +321,12 @@ impl Emitters {
         &self,
         traced: &TracedScene<'_>,
         place: &SurfacePoint,
+        cut: Option<&Cut>,
         at: [f64; 2],
         work: &mut LightWork,
     ) -> Vec3 {
-        let Some((leaf, probability, within)) = self.tree.draw(place.p, place.normal.as_dvec3(), at[0]) else {
+        let (p, normal) = (place.p, place.normal.as_dvec3());
+        let Some((leaf, probability, within)) = self.tree.draw(cut, p, normal, at[0]) else {
             return Vec3::ZERO;
         };
         let density = self.density(&leaf, probability);
@@ -347,7 +375,7 @@ impl Emitters {
             return Vec3::ZERO;
         }
         let per_area = brightness(face.material()) * density;
-        face.emission(|| 0.0) * balance(arrives, per_area * t * t / cosine)
+        face.emission(|| 0.0) * weight_of_drawn(arrives, per_area * t * t / cosine)
     }
 }
 
@@ -367,7 +395,7 @@ fn light_of_object(
         return Vec3::ZERO;
     }
     match traced.first_surface(place, &ray, work).filter(|hit| hit.place.own == item) {
-        Some(hit) => hit.emission * balance(arrives, share * sides.density(place.p, ray.direction)),
+        Some(hit) => hit.emission * weight_of_drawn(arrives, share * sides.density(place.p, ray.direction)),
         None => Vec3::ZERO,
     }
 }
@@ -436,7 +464,15 @@ fn density_of_direction(place: &SurfacePoint, ray: &LightRay) -> f64 {
     place.normal.as_dvec3().dot(ray.direction) / PI
 }
 
-/// Weight of a technique with the density `own`, if another technique has the density `other`.
-fn balance(own: f64, other: f64) -> f32 {
-    (own / (own + other)) as f32
+/// Weight of a direction by its cosine, if directions to the emitters have the density `drawn` along it.
+fn weight_of_direction(direction: f64, drawn: f64) -> f32 {
+    let ratio = drawn / direction;
+    (1.0 + ratio * ratio).recip() as f32
+}
+
+/// Weight of a direction to the emitters, divided by its density, in units of the density `direction` of directions by
+/// their cosine. It is at most 1/2.
+fn weight_of_drawn(direction: f64, drawn: f64) -> f32 {
+    let ratio = drawn / direction;
+    (ratio + ratio.recip()).recip() as f32
 }

@@ -3,9 +3,13 @@
 //! # Theory
 //!
 //! At each node the place chooses one of the two children in proportion to an estimate of its light: its power, times
-//! bounds of the cosines at the place and at the emitter, divided by the square of the distance (A. Estevez Conty and
+//! means of the cosines at the place and at the emitter, divided by the square of the distance (A. Estevez Conty and
 //! C. Kulla, *Importance sampling of many lights with adaptive tree splitting*, 2018). A node is bounded by a ball of
 //! positions and a cone of normals. A child has the probability 0 only if it sends no light.
+//!
+//! A place that draws many emitters first divides the tree into a *cut*, some nodes that together have all emitters,
+//! and chooses among these. The estimates are better for small nodes, so a cut follows the light better than choices
+//! from the root (adaptive splitting, in the same work).
 //!
 //! One number from 0 to 1 makes all choices: after each choice it is the position within the part of the child. Even
 //! steps of the number therefore spread evenly over the emitters, whose order is spatial.
@@ -17,10 +21,13 @@ use std::f64::consts::PI;
 use std::ops::Range;
 
 /// Most emitters of a leaf.
-pub(super) const LEAF: usize = 16;
+pub(super) const LEAF: usize = 1;
+
+/// Most emitters around which one ball is tested for a ray.
+const FEW: usize = 16;
 
 /// Number of leaves from which the two halves are made by two threads.
-const PARALLEL: usize = 64;
+const PARALLEL: usize = 1024;
 
 /// The positions and normals of emitters.
 #[derive(Debug, Clone, Copy)]
@@ -105,6 +112,14 @@ impl Node {
         }
     }
 
+    /// Whether a ray hits the ball.
+    fn is_hit(&self, p: DVec3, direction: DVec3) -> bool {
+        let to = self.center - p;
+        let squared = self.radius * self.radius;
+        let (distance, along) = (to.length_squared(), to.dot(direction));
+        distance <= squared || (along > 0.0 && distance - along * along <= squared)
+    }
+
     /// The estimate of the light at a place with a normal: 0 only if it is dark.
     #[inline]
     fn light(&self, p: DVec3, normal: DVec3) -> f64 {
@@ -115,15 +130,27 @@ impl Node {
             return self.power / least.max(f64::MIN_POSITIVE);
         }
         let inverse = squared.sqrt().recip();
-        // The sine of the half angle of the ball. The sines of the ball and the cone are added to the cosines: a node
-        // is dark if a sum is negative, since no direction in the ball and no normal in the cone turns by more.
+        // The sine of the half angle of the ball. No direction in the ball and no normal in the cone changes a cosine
+        // by more than the sum of the sines of their angles.
         let ball = self.radius * inverse;
-        let at_place = (normal.dot(to) * inverse + ball).clamp(0.0, 1.0);
+        let at_place = mean_of_lit(normal.dot(to) * inverse, ball);
         let toward = -self.axis.dot(to) * inverse;
         let toward = if self.is_two_sided { toward.abs() } else { toward };
         let [cosine, sine] = self.spread;
-        let at_emitter = if cosine <= 0.0 { 1.0 } else { (toward * cosine + sine + ball).clamp(0.0, 1.0) };
+        let at_emitter = if cosine <= 0.0 { 1.0 } else { mean_of_lit(toward, sine + ball) };
         self.power * at_place * at_emitter / squared
+    }
+}
+
+/// The mean of the positive parts of numbers that are spread evenly, by at most `spread` from `middle`.
+#[inline]
+fn mean_of_lit(middle: f64, spread: f64) -> f64 {
+    if middle >= spread {
+        middle
+    } else if middle <= -spread {
+        0.0
+    } else {
+        (middle + spread).powi(2) / (4.0 * spread)
     }
 }
 
@@ -136,7 +163,7 @@ pub(super) struct EmitterTree {
 }
 
 /// A node on the way to a leaf: its index, its first leaf and the number of its leaves.
-#[derive(Clone, Copy)]
+#[derive(Debug, Clone, Copy)]
 struct Position {
     node: usize,
     first: usize,
@@ -150,6 +177,45 @@ impl Position {
             Self { node: self.node + 1, first: self.first, leaves: left },
             Self { node: self.node + 2 * left, first: self.first + left, leaves: self.leaves - left },
         ]
+    }
+}
+
+/// Nodes that partition a tree, except nodes without light at a place. They are in the order of the tree, each with the
+/// sum of the estimates of their light up to it.
+#[derive(Debug)]
+pub(crate) struct Cut {
+    parts: Vec<(f64, Position)>,
+    total: f64,
+}
+
+impl Cut {
+    fn push(&mut self, node: Position, estimate: f64) {
+        let end = self.total + estimate;
+        // Beside a much brighter node the sum does not grow.
+        if end > self.total {
+            self.parts.push((end, node));
+            self.total = end;
+        }
+    }
+
+    /// The sum of the estimates before a part, and its own.
+    fn start(&self, part: usize) -> f64 {
+        part.checked_sub(1).map_or(0.0, |before| self.parts[before].0)
+    }
+
+    /// The part that a number from 0 to 1 draws, its probability, and the position within it, from 0 to 1.
+    fn draw(&self, at: f64) -> (Position, f64, f64) {
+        let target = at * self.total;
+        let part = self.parts.partition_point(|part| part.0 <= target).min(self.parts.len() - 1);
+        let (start, (end, position)) = (self.start(part), self.parts[part]);
+        (position, (end - start) / self.total, ((target - start) / (end - start)).clamp(0.0, 1.0))
+    }
+
+    /// The part with a leaf, and its probability; None if it has no light.
+    fn part_of(&self, leaf: usize) -> Option<(Position, f64)> {
+        let part = self.parts.partition_point(|part| part.1.first <= leaf).checked_sub(1)?;
+        let (end, position) = self.parts[part];
+        (leaf < position.first + position.leaves).then(|| (position, (end - self.start(part)) / self.total))
     }
 }
 
@@ -180,11 +246,39 @@ impl EmitterTree {
         (total > 0.0 && total.is_finite()).then(|| first / total)
     }
 
+    /// At most about `count` nodes that partition the tree, by their light at a place. None if all emitters are dark.
+    pub(super) fn cut(&self, p: DVec3, normal: DVec3, count: usize) -> Option<Cut> {
+        let root = self.root();
+        let mut cut = Cut { parts: Vec::with_capacity(count.min(root.leaves)), total: 0.0 };
+        if root.leaves > 0 {
+            let estimate = self.nodes[root.node].light(p, normal);
+            self.divide(root, estimate, count.min(root.leaves) as f64, (p, normal), &mut cut);
+        }
+        (cut.total > 0.0 && cut.total.is_finite()).then_some(cut)
+    }
+
+    /// Adds `count` nodes below a node to a cut, more of them to the child with the larger estimate.
+    fn divide(&self, node: Position, estimate: f64, count: f64, (p, normal): (DVec3, DVec3), cut: &mut Cut) {
+        if node.leaves == 1 || count < 2.0 {
+            cut.push(node, estimate);
+            return;
+        }
+        let children = node.children();
+        let estimates = children.map(|child| self.nodes[child.node].light(p, normal));
+        let share = estimates[0] / (estimates[0] + estimates[1]);
+        let [most_first, most_second] = children.map(|child| child.leaves as f64);
+        let first = (count * share).min(most_first).max(count - most_second);
+        for ((child, estimate), count) in children.into_iter().zip(estimates).zip([first, count - first]) {
+            if estimate > 0.0 {
+                self.divide(child, estimate, count, (p, normal), cut);
+            }
+        }
+    }
+
     /// The emitters of a leaf, the probability to draw the leaf, and the position within it, from 0 to 1. `at`, from 0
-    /// to 1, draws it. None if all emitters are dark.
-    pub(super) fn draw(&self, p: DVec3, normal: DVec3, mut at: f64) -> Option<(Range<usize>, f64, f64)> {
-        let mut position = self.root();
-        let mut probability = 1.0;
+    /// to 1, draws it, from a cut at the place if there is one. None if what it draws is dark.
+    pub(super) fn draw(&self, cut: Option<&Cut>, p: DVec3, normal: DVec3, at: f64) -> Option<(Range<usize>, f64, f64)> {
+        let (mut position, mut probability, mut at) = cut.map_or((self.root(), 1.0, at), |cut| cut.draw(at));
         while position.leaves > 1 {
             let children = position.children();
             let share = self.share(children, p, normal)?;
@@ -198,18 +292,32 @@ impl EmitterTree {
         (probability > 0.0).then(|| (self.emitters_of(position), probability, at.clamp(0.0, 1.0)))
     }
 
-    /// The emitters of the leaf of an emitter, and the probability to draw the leaf.
-    pub(super) fn leaf_of(&self, emitter: usize, p: DVec3, normal: DVec3) -> (Range<usize>, f64) {
-        let mut position = self.root();
-        let mut probability = 1.0;
+    /// The emitters of the leaf of an emitter, and the probability to draw the leaf, from a cut if there is one.
+    pub(super) fn leaf_of(&self, cut: Option<&Cut>, emitter: usize, p: DVec3, normal: DVec3) -> (Range<usize>, f64) {
+        let leaf = emitter / LEAF;
+        let start = cut.map_or(Some((self.root(), 1.0)), |cut| cut.part_of(leaf));
+        let Some((mut position, mut probability)) = start else {
+            return (leaf * LEAF..((leaf + 1) * LEAF).min(self.count), 0.0);
+        };
         while position.leaves > 1 {
             let children = position.children();
-            let is_second = emitter / LEAF >= children[1].first;
-            let share = self.share(children, p, normal).unwrap_or(0.0);
+            let is_second = leaf >= children[1].first;
             position = children[usize::from(is_second)];
-            probability *= if is_second { 1.0 - share } else { share };
+            // Dark children below a node with an estimate are not drawn.
+            probability *=
+                self.share(children, p, normal).map_or(0.0, |share| if is_second { 1.0 - share } else { share });
         }
         (self.emitters_of(position), probability)
+    }
+
+    /// Whether a ray may hit an emitter: false if it hits no ball around [`FEW`] of them.
+    pub(super) fn may_be_hit(&self, p: DVec3, direction: DVec3) -> bool {
+        self.count > 0 && self.is_near(self.root(), p, direction)
+    }
+
+    fn is_near(&self, position: Position, p: DVec3, direction: DVec3) -> bool {
+        self.nodes[position.node].is_hit(p, direction)
+            && (position.leaves <= FEW || position.children().iter().any(|&child| self.is_near(child, p, direction)))
     }
 
     fn root(&self) -> Position {
@@ -279,13 +387,13 @@ mod tests {
             let steps = 100_000;
             for step in 0..steps {
                 let at = (f64::from(step) + 0.5) / f64::from(steps);
-                let (emitters, probability, within) = tree.draw(p, normal, at).unwrap();
+                let Some((emitters, probability, within)) = tree.draw(None, p, normal, at) else { continue };
                 assert!((0.0..=1.0).contains(&within));
-                assert_eq!((emitters.clone(), probability), tree.leaf_of(emitters.start, p, normal));
+                assert_eq!((emitters.clone(), probability), tree.leaf_of(None, emitters.start, p, normal));
                 drawn[emitters.start] += 1;
             }
             for i in 0..100 {
-                let (leaf, probability) = tree.leaf_of(i, p, normal);
+                let (leaf, probability) = tree.leaf_of(None, i, p, normal);
                 let share = f64::from(drawn[leaf.start]) / f64::from(steps);
                 assert!((share - probability).abs() <= 1e-4, "{i}: {share} {probability}");
                 let (place, facing) = ball(i);
@@ -294,6 +402,46 @@ mod tests {
                     assert!(probability > 0.0, "{i} is lit");
                 }
             }
+        }
+    }
+
+    #[test]
+    fn a_cut_draws_every_lit_emitter_with_the_probability_of_its_leaf() {
+        let count = 400;
+        let place = |i: usize| ball(i % 100).0 + DVec3::new((i / 100) as f64, 0.0, 0.0);
+        let bounds = |i: usize| Bounds::new([place(i)], Some(ball(i % 100).1), false, 1.0);
+        let tree = EmitterTree::new(count, bounds, &Progress::new()).unwrap();
+        let (p, normal) = (DVec3::new(3.0, 2.0, 0.5), DVec3::NEG_Y);
+        let cut = tree.cut(p, normal, 50).unwrap();
+        let mut sum = 0.0;
+        for leaf in (0..count).step_by(LEAF) {
+            let (emitters, probability) = tree.leaf_of(Some(&cut), leaf, p, normal);
+            assert_eq!(emitters, leaf..leaf + LEAF);
+            sum += probability;
+            let is_lit = emitters.clone().any(|i| {
+                let to = place(i) - p;
+                normal.dot(to) > 0.0 && ball(i % 100).1.dot(to) < 0.0
+            });
+            assert!(probability > 0.0 || !is_lit, "{leaf}");
+        }
+        // The rest draws nodes whose emitters are all dark.
+        assert!(sum > 0.5 && sum <= 1.0 + 1e-9, "{sum}");
+        for step in 0..1000 {
+            let at = f64::from(step) / 999.0;
+            let Some((emitters, probability, within)) = tree.draw(Some(&cut), p, normal, at) else { continue };
+            assert!((0.0..=1.0).contains(&within));
+            let (same, again) = tree.leaf_of(Some(&cut), emitters.start, p, normal);
+            assert!(same == emitters && (again / probability - 1.0).abs() <= 1e-12);
+        }
+    }
+
+    #[test]
+    fn the_mean_of_lit_cosines_is_their_integral() {
+        for (middle, spread) in [(0.5, 0.2), (0.1, 0.4), (-0.1, 0.4), (-0.5, 0.2)] {
+            let steps = 10_000;
+            let cosine = |i: i32| middle + spread * (2.0 * (f64::from(i) + 0.5) / f64::from(steps) - 1.0);
+            let mean = (0..steps).map(|i| cosine(i).max(0.0)).sum::<f64>() / f64::from(steps);
+            assert!((mean_of_lit(middle, spread) - mean).abs() <= 1e-6, "{middle} {spread}");
         }
     }
 
