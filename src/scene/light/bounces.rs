@@ -16,9 +16,9 @@
 //! agrees with the shadows.
 //!
 //! The samples of each pixel are even, and start at random positions, so their errors differ from pixel to pixel and
-//! average out. [`Bounces::parts_on`] separates light by what it
-//! has met: the emission that arrives directly has the edges of shadows, the rest is smooth but has more noise, so a
-//! filter treats them apart ([`crate::scene::lighting::denoise`]).
+//! average out. [`Bounces::parts_on`] separates the emission that arrives directly from the rest. The emission has the
+//! edges of shadows; the rest is smooth but has more noise, so a filter treats them apart
+//! ([`crate::scene::lighting::denoise`]).
 
 use super::emitters::{Cut, Emitters};
 use super::light_rays::{GOLDEN_ANGLE, LightRay, LightWork, SurfacePoint, basis};
