@@ -358,7 +358,8 @@ impl Scene {
         materials: Vec<MaterialRow>,
         textures: Vec<Py<Texture>>,
     ) -> PyResult<Self> {
-        let inputs = instances.iter().map(InstanceRow::inputs).collect::<PyResult<Vec<_>>>()?.concat();
+        let inputs = instances.iter().map(InstanceRow::inputs).collect::<PyResult<Vec<_>>>()?;
+        let inputs = inputs.into_iter().flatten().collect();
         let materials = materials.iter().map(|row| row.material(textures.len())).collect::<PyResult<_>>()?;
         let textures = textures.iter().map(|texture| texture.get().0.clone()).collect();
         let made = py.detach(|| scene::Scene::new(inputs, materials, textures)).map_err(Failure::from)?;

@@ -50,7 +50,7 @@ impl Local {
     /// An entry `c^T M c` is rounded by one epsilon, which moves a surface of radius `r` by about
     /// `epsilon (|c| / r)^2 r / 2`. The epsilon of float32 is used if all entries are float32 values, since they may
     /// come from a record.
-    pub(super) fn slack(quadric: &Quadric) -> f64 {
+    fn slack(quadric: &Quadric) -> f64 {
         let offset = quadric.center.length() / quadric.radius;
         let is_record = quadric.matrix.to_cols_array().iter().all(|&entry| f64::from(entry as f32) == entry);
         let epsilon = if is_record { f64::from(f32::EPSILON) } else { f64::EPSILON };

@@ -22,7 +22,6 @@ pub(crate) mod local;
 
 use crate::error::{ArgumentError, Error};
 use glam::{DMat4, DVec3, Vec3};
-use local::Local;
 
 /// A quadric surface in world space.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -50,12 +49,6 @@ pub fn check(quadrics: &[Quadric]) -> Result<(), Error> {
 }
 
 impl Quadric {
-    /// Box of the trim sphere.
-    pub fn bounds(&self) -> [DVec3; 2] {
-        let radius = self.radius * (1.0 + Local::slack(self));
-        [self.center - radius, self.center + radius]
-    }
-
     fn check(&self) -> Result<(), String> {
         if !self.matrix.is_finite() || self.matrix == DMat4::ZERO {
             return Err(format!("matrix must be finite and not zero, got {}", self.matrix));

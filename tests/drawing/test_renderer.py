@@ -274,7 +274,15 @@ def test_an_interrupted_frame_leaves_the_renderer_usable(scene, device) -> None:
         ({"transforms": [np.eye(4), np.eye(3), None, None]}, r"transforms\[1\]: must have shape \(4, 4\)"),
         ({"transforms": [np.eye(4), np.zeros((4, 4)), None, None]}, r"transforms\[1\]: the last row"),
         ({"transforms": [None, None, np.diag([1, 1, 0, 1.0]), None]}, r"transforms\[2\]: cannot be undone"),
-        ({"transforms": np.full((4, 4, 4), np.nan)}, "transforms: must be finite"),
+        ({"transforms": np.full((4, 4, 4), np.nan)}, r"transforms\[0\]: must be finite"),
+        (
+            {"transforms": np.stack([np.eye(4), np.eye(4), np.zeros((4, 4)), np.ones((4, 4))])},
+            r"transforms\[2\]: the last row",
+        ),
+        (
+            {"transforms": np.stack([np.eye(4), np.eye(4), np.eye(4), np.diag([1, 0, 1, 1.0])])},
+            r"transforms\[3\]: cannot",
+        ),
         ({"transforms": "none"}, "transforms: must"),
         ({"transforms": 1j * np.stack([np.eye(4)] * 4)}, "transforms: must"),
         ({"materials": [None] * 3}, "materials: must have 4 items, one for each instance of the scene, got 3"),

@@ -151,6 +151,30 @@ def test_a_shape_is_drawn_as_raymarch_draws_it() -> None:
     assert (blue.color[blue.object_id == 0][:, :2] == 0).all()
 
 
+def test_quadrics_of_a_list_keep_their_colours_unless_the_material_has_one() -> None:
+    red, green = (
+        fb.Quadric.sphere((x, 0, 0), 0.6, reflectance=color) for x, color in ((-1, (1, 0, 0)), (1, (0, 1, 0)))
+    )
+    camera = fb.Camera((0, 0, 6), (0, 0, 0))
+    options = {"size": (64, 32), "device": "cpu"}
+    light = [fb.DirectionalLight((0, 0, -1), angle_deg=4)]
+    alone = fb.raymarch([red, green], camera, lights=light, specular=0, samples=4, **options)
+    assert set(np.unique(alone.object_id)) == {-1, 0, 1}
+    # A shape of the same form has the same picture.
+    balls = [fb.sphere(0.6).translate((x, 0, 0)).paint(color) for x, color in ((-1, (1, 0, 0)), (1, (0, 1, 0)))]
+    scene = fb.Scene([fb.Instance(ball, material=fb.Material(specular=0)) for ball in balls], light)
+    shapes = fb.render(scene, camera, samples=4, **options)
+    assert np.array_equal(alone.object_id, shapes.object_id)
+    assert np.abs(alone.color - shapes.color).max() <= 1 / 255
+    # In one instance the quadrics are one object, and a colour of the material replaces theirs.
+    for color, channels in ((None, {0, 1}), ((0, 0, 1), {2})):
+        instance = fb.Instance([red, green], material=fb.Material(color=color, specular=0))
+        frame = fb.render(fb.Scene([instance], light, ambient=0), camera, **options)
+        assert set(np.unique(frame.object_id)) == {-1, 0}
+        lit = frame.color[frame.object_id == 0][:, :3].max(axis=0)
+        assert {channel for channel in range(3) if lit[channel] > 0.5} == channels
+
+
 def test_quadrics_are_drawn_as_raymarch_draws_them() -> None:
     quadrics = [bowl(reflectance=(0.2, 0.5, 1.0)), fb.Quadric.sphere((1, 0.2, 0.5), 0.4, reflectance=(1, 1, 1))]
     camera = fb.Camera((2, -4, 3), (0.3, 0, 0.3), up=(0, 0, 1))

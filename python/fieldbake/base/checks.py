@@ -230,7 +230,14 @@ def affine(name: str, value: ArrayLike, error: type[Error]) -> NDArray[np.float6
 
 def affine_list(name: str, value: ArrayLike, count: int, error: type[Error]) -> NDArray[np.float64]:
     """Check affine transforms as :func:`affine` does, (count, 4, 4); the message names the index of the wrong one."""
-    transforms = matrix(name, value, (count, 4, 4), error)
+    transforms = real_array(name, value, f"({count}, 4, 4)", error)
+    if transforms.shape != (count, 4, 4):
+        raise error(f"{name}: must have shape {(count, 4, 4)}, got {describe(transforms)}")
+    transforms = np.array(as_float64(transforms))
+    is_finite = np.isfinite(transforms).all(axis=(1, 2))
+    if not is_finite.all():
+        index = int(np.argmin(is_finite))
+        raise error(f"{name}[{index}]: must be finite, got {transforms[index].tolist()}")
     _check_affine(lambda index: f"{name}[{index}]", transforms, error)
     return transforms
 

@@ -259,12 +259,13 @@ def render(scene: Any, camera: Camera | None = None, **options: Unpack[RenderOpt
         blocked. They replace `ambient_occlusion` and do not use `far`. Paths are evaluated on the CPU for pictures of
         every device.
     bounce_samples : int, default 256
-        Number of paths for each visible surface with `bounces`. The time is proportional to the number.
+        Number of paths for each visible surface with `bounces`, of which each pixel has a part with `denoise`. The time
+        is proportional to the number.
     denoise : bool, default True
-        Whether the noise of the paths of `bounces` is removed by a filter over the picture, which is as wide as the
-        light permits. Pixels then share their paths, so each has a part of them: 3/8 in a picture of 128 pixels along
-        its shorter side, 3/16 for 256, an eighth from 384. False leaves the mean of all its own paths at each pixel,
-        which takes several times longer.
+        Whether the noise of the paths of `bounces` is removed by a filter over the picture, whose width grows until the
+        light changes by more than its noise. Pixels then share their paths, so each has a part of them: 9/32 in a
+        picture of 128 pixels along its shorter side, 9/64 for 256, an eighth from 288. False leaves the mean of all its
+        own paths at each pixel, which takes several times longer.
     samples : int, default 1
         Colour samples per pixel, a square number up to 64: 1, 4, 9, 16, ... Higher values smooth edges. A pixel has
         one sample where the displayed colours of neighbouring pixels change evenly, to 1/32, on one object without an
@@ -329,7 +330,7 @@ def render(scene: Any, camera: Camera | None = None, **options: Unpack[RenderOpt
     With `bounces`, ``ambient * open`` is the mean of the light that arrives along `bounce_samples` cosine-weighted
     directions. A path continues at the first instance that casts shadows and whose opacity is at least 1/2. It collects
     emission there, and the light of the lights as with ``shadows="hard"``. Each vertex of a path also has one direction
-    to an emitter: to a point on an emissive face of a mesh, or into the box of another emissive object. The balance
+    to an emitter: to a point on an emissive face of a mesh, or into the box of another emissive object. The power
     heuristic combines both techniques. Surfaces of an opacity below 1/2 and instances without shadows light nothing.
     Paths ignore highlights and scattering. Surroundings given as an image are smoothed as described for :class:`Scene`.
     In a closed room, 256 paths differ from a path tracer by 2 % in the mean.

@@ -62,7 +62,7 @@ impl Solid {
         rounded: impl Fn(f64) -> T + Sync,
         progress: &Progress,
     ) -> Result<Vec<T>, Error> {
-        self.batches(points, progress, |tokens, points, stack, out| {
+        self.batches(points, LANES, progress, |tokens, points, stack, out| {
             let mut at = [[0.0; LANES]; 3];
             for (i, p) in points.iter().enumerate() {
                 (at[0][i], at[1][i], at[2][i]) = (p.x, p.y, p.z);
@@ -76,7 +76,7 @@ impl Solid {
 
     /// Gradient of the field at world points; zero where it is undefined.
     pub fn gradients(&self, points: &[DVec3], progress: &Progress) -> Result<Vec<[f32; 3]>, Error> {
-        self.batches(points, progress, |tokens, points, stack, out| {
+        self.batches(points, LANES / GRADIENTS * GRADIENTS, progress, |tokens, points, stack, out| {
             for (out, points) in out.chunks_mut(GRADIENTS).zip(points.chunks(GRADIENTS)) {
                 let (mut at, mut steps) = ([[0.0; LANES]; 3], [0.0; GRADIENTS]);
                 for (i, local) in points.iter().enumerate() {
@@ -97,11 +97,12 @@ impl Solid {
         })
     }
 
-    /// The results of `evaluate` at world points. It receives batches of up to [`LANES`] points in local units, and
-    /// tokens that decide the field around them.
+    /// The results of `evaluate` at world points. It receives batches of up to [`LANES`] points in local units, or of
+    /// `size` points if there are few leaves, and tokens that decide the field around them.
     fn batches<T: Copy + Send + Sync + Zeroable>(
         &self,
         points: &[DVec3],
+        size: usize,
         progress: &Progress,
         evaluate: impl Fn(&[Token], &[DVec3], &mut Stack<f64, LANES>, &mut [T]) + Sync,
     ) -> Result<Vec<T>, Error> {
@@ -111,7 +112,7 @@ impl Solid {
         if Model::leaf_count(tokens) < MANY_LEAVES || points.len() < MANY_POINTS {
             let chunks = results.par_chunks_mut(CHUNK_POINTS).zip(points.par_chunks(CHUNK_POINTS));
             chunks.try_for_each_init(Stack::default, |stack, (results, points)| {
-                for (results, points) in results.chunks_mut(LANES).zip(points.chunks(LANES)) {
+                for (results, points) in results.chunks_mut(size).zip(points.chunks(size)) {
                     let (mut batch, count) = ([DVec3::ZERO; LANES], points.len());
                     batch.iter_mut().zip(points).for_each(|(local, &point)| *local = self.frame.local(point));
                     evaluate(tokens, &batch[..count], stack, results);
@@ -140,7 +141,7 @@ struct Placed {
     row: u64,
 }
 
-/// Buffers that a thread keeps between batches.
+/// Buffers that are kept between the batches of a piece.
 #[derive(Default)]
 struct Scratch {
     stack: Stack<f64, LANES>,
@@ -168,6 +169,7 @@ impl<E> Division<'_, E> {
     where
         E: Fn(&[Token], &[DVec3], &mut Stack<f64, LANES>, &mut [T]) + Sync,
     {
+        self.progress.check()?;
         let count = points.len();
         if count <= CHUNK_POINTS {
             self.visit_alone(points, results, tokens, pruned_for, &mut Scratch::default());
@@ -213,7 +215,7 @@ impl<E> Division<'_, E> {
         self.visit_alone(right, right_results, tokens, pruned_for, scratch);
     }
 
-    /// The tokens that decide the field in a box of `count` points, if it is worth pruning them for so many.
+    /// The tokens that decide the field in a box of `count` points; `None` if pruning takes longer than it saves.
     fn near(
         &self,
         tokens: &[Token],

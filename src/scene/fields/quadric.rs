@@ -32,7 +32,7 @@ pub(crate) struct QuadricField {
 }
 
 impl QuadricField {
-    /// `quadric` must be valid for [`crate::quadric::Quadrics`].
+    /// `quadric` must pass [`crate::quadric::check`].
     pub(crate) fn new(quadric: &Quadric) -> Self {
         let placed = Local::new(quadric);
         let per_unit = UNITS / placed.radius;

@@ -52,7 +52,7 @@ pub(crate) struct PathLight {
 struct Samples {
     /// Number of paths.
     count: u32,
-    /// Number that differs from surface to surface.
+    /// Number that differs from pixel to pixel.
     seed: u32,
     /// Turn of the points of the disc, radians, and the position of each in its ring.
     turn: f32,

@@ -1,4 +1,5 @@
-//! Removes the noise of sampled light: a filter over the pixels of a picture, which is as wide as the light permits.
+//! Removes the noise of sampled light by a filter over the pixels of a picture. Its width grows until the light changes
+//! by more than its noise.
 //!
 //! # Theory
 //!
@@ -68,10 +69,17 @@ impl Noisy {
     }
 }
 
+/// Memory of the filter for each layer, bytes.
+pub(crate) const LAYER_BYTES: usize = size_of::<[PathLight; 2]>()
+    + size_of::<Surface>()
+    + 2 * size_of::<Noisy>()
+    + size_of::<Fitted>()
+    + size_of::<Vec3>();
+
 /// Filters light by the paths of all layers, which has two halves. Returns the filtered light.
 pub(crate) fn filter(
     buffer: &GBuffer,
-    halves: &[Vec<[PathLight; 2]>],
+    halves: Vec<Vec<[PathLight; 2]>>,
     progress: &Progress,
 ) -> Result<Vec<Vec<Vec3>>, Error> {
     let firsts: Vec<Vec<u32>> = buffer.rows.par_iter().map(|row| first_layers(row, buffer.view.size[0])).collect();
@@ -81,11 +89,13 @@ pub(crate) fn filter(
         row.iter().map(surface).collect::<Vec<Surface>>()
     });
     let picture = Picture { buffer, firsts: &firsts, surfaces: &surfaces.collect::<Vec<_>>() };
-    let noisy: Vec<Vec<Noisy>> = halves.iter().map(|row| row.iter().map(Noisy::new).collect()).collect();
+    let samples: Vec<Vec<Noisy>> = halves.into_iter().map(|row| row.iter().map(Noisy::new).collect()).collect();
     let disc = Disc::new(VARIANCE_RADIUS);
-    let noisy = picture.map(progress, |y, i, _| picture.with_mean_variance(&noisy, &disc, y, i))?;
+    let noisy = picture.map(progress, |y, i, _| picture.with_mean_variance(&samples, &disc, y, i))?;
+    drop(samples);
     let disc = Disc::new(RADII[RADII.len() - 1]);
     let fitted = picture.map(progress, |y, i, near| picture.fitted(&noisy, &disc, (y, i), near))?;
+    drop(noisy);
     let disc = Disc::new(MEDIAN_RADIUS);
     picture.map(progress, |y, i, _| picture.chosen(&fitted, &disc, y, i))
 }

@@ -18,6 +18,7 @@ use super::pass::Pass;
 use super::tile::{TILE, Tiles};
 use super::upsampling::gather;
 use crate::error::Error;
+use crate::memory::require_for;
 use crate::scene::content::options::{RenderOptions, SceneShadows};
 use crate::scene::light::bounces::Bounces;
 use crate::scene::light::light_rays::LightWork;
@@ -26,9 +27,9 @@ use crate::scene::light::occlusion::NearOccluders;
 use crate::scene::visibility::gbuffer::GBuffer;
 use rayon::prelude::*;
 
-/// Occlusion is evaluated at one of this many pixels along each side. Between these pixels they are
-/// interpolated on lattices that are twice as fine from one to the next. A pixel is also evaluated if its neighbours on
-/// the coarser lattice lie on other surfaces or disagree, or if another surface is visible near it.
+/// Occlusion is evaluated at one of this many pixels along each side. Between these pixels it is interpolated on
+/// lattices that are twice as fine from one to the next. A pixel is also evaluated if its neighbours on the coarser
+/// lattice lie on other surfaces or disagree, or if another surface is visible near it.
 const SMOOTH_SCALE: u32 = 8;
 
 /// Smallest number of evaluated pixels along the shorter side of a picture with occlusion. A wider lattice would miss
@@ -110,6 +111,9 @@ pub(crate) fn find_bounces(
         evaluate(&pass, &mut light, &|_, _| true, ROW_PROGRESS)?;
         return Ok(light);
     }
+    let layers: usize = pass.buffer.rows.iter().map(Vec::len).sum();
+    let bytes = (layers * denoise::LAYER_BYTES) as u64;
+    require_for("the filter of sampled light", bytes, bytes, "draw fewer pixels, or use denoise=False")?;
     let paths = half_of_paths(bounces.samples(), pass.options.size);
     let halves = light.rows.par_iter_mut().enumerate().map(|(y, row)| {
         let mut total = LightWork::default();
@@ -126,7 +130,7 @@ pub(crate) fn find_bounces(
         pass.progress.advance(ROW_PROGRESS)?;
         Ok(halves)
     });
-    let filtered = denoise::filter(pass.buffer, &halves.collect::<Result<Vec<_>, Error>>()?, pass.progress)?;
+    let filtered = denoise::filter(pass.buffer, halves.collect::<Result<Vec<_>, Error>>()?, pass.progress)?;
     for (row, filtered) in light.rows.iter_mut().zip(filtered) {
         row.values = filtered.into_iter().flat_map(|value| value.to_array()).collect();
         row.is_evaluated.fill(true);

@@ -35,7 +35,7 @@ use rayon::prelude::*;
 use std::f64::consts::PI;
 use std::ops::Range;
 pub(crate) use tree::Cut;
-use tree::{Bounds, EmitterTree, LEAF};
+use tree::{Bounds, EmitterTree};
 
 mod tree;
 
@@ -44,6 +44,8 @@ const SAME_PLACE: f64 = 1e-4;
 
 /// Number of groups of emitters for each path. A group takes a hundredth of the time of a path.
 const GROUPS_PER_PATH: usize = 16;
+/// Largest number of groups, 2 MiB.
+const MOST_GROUPS: usize = 1 << 16;
 
 /// Number of faces between two checks of the progress: about a millisecond.
 const BATCH: usize = 1 << 14;
@@ -56,8 +58,8 @@ struct Emitter {
     instance: u32,
     /// [`WHOLE`] for an object without faces.
     face: u32,
-    /// Sum of area times brightness of this emitter and those before it in its leaf of the tree, scene units.
-    end: f64,
+    /// Area times brightness, scene units.
+    power: f64,
 }
 
 /// An emissive face after its key: the octant of its normal, and the position of its middle on a space-filling curve.
@@ -224,26 +226,19 @@ impl Emitters {
         for (item, instance) in scene.instances.iter().enumerate() {
             let Some((field, brightness)) = emissive_object(scene, instance) else { continue };
             let around = LampBox::new(instance, field);
-            let end = around.area() * brightness;
-            if end > 0.0 && end.is_finite() {
+            let power = around.area() * brightness;
+            if power > 0.0 && power.is_finite() {
                 lamps[item] = Lamp::Boxed(Box::new(around), list.len() as u32);
-                list.push(Emitter { instance: item as u32, face: WHOLE, end });
+                list.push(Emitter { instance: item as u32, face: WHOLE, power });
             }
         }
         let tree = EmitterTree::new(list.len(), |i| bounds(scene, &lamps, &list[i]), progress)?;
-        for leaf in list.chunks_mut(LEAF) {
-            let mut sum = 0.0;
-            for emitter in leaf {
-                sum += emitter.end;
-                emitter.end = sum;
-            }
-        }
         Ok(Self { list, tree, lamps })
     }
 
     /// The emitters in groups, by their light at a place, from which the directions of this number of paths are drawn.
     pub(crate) fn cut(&self, place: &SurfacePoint, paths: u32) -> Option<Cut> {
-        self.tree.cut(place.p, place.normal.as_dvec3(), GROUPS_PER_PATH * paths as usize)
+        self.tree.cut(place.p, place.normal.as_dvec3(), (GROUPS_PER_PATH * paths as usize).min(MOST_GROUPS))
     }
 
     /// Whether a ray may hit an emitter.
@@ -263,21 +258,9 @@ impl Emitters {
         self.list.is_empty()
     }
 
-    /// The sum of area times brightness of the emitters before one in its leaf.
-    fn start(&self, emitter: usize) -> f64 {
-        if emitter.is_multiple_of(LEAF) { 0.0 } else { self.list[emitter - 1].end }
-    }
-
-    /// The probability to draw an emitter of a leaf, divided by its area times brightness. The leaf has a probability.
-    fn density(&self, leaf: &Range<usize>, probability: f64) -> f64 {
-        probability / self.list[leaf.end - 1].end
-    }
-
-    /// The probability that a place draws the emitter at a position in the list, divided by its area times brightness.
-    fn density_of(&self, emitter: u32, place: &SurfacePoint, cut: Option<&Cut>) -> f64 {
-        let (p, normal) = (place.p, place.normal.as_dvec3());
-        let (leaf, probability) = self.tree.leaf_of(cut, emitter as usize, p, normal);
-        self.density(&leaf, probability)
+    /// The probability that a place draws the emitter at a position in the list.
+    fn probability(&self, emitter: u32, place: &SurfacePoint, cut: Option<&Cut>) -> f64 {
+        self.tree.probability(cut, emitter as usize, place.p, place.normal.as_dvec3())
     }
 
     /// Weight of the emission of a hit that a path found by a cosine-weighted direction. Points drawn on the emitters
@@ -301,14 +284,14 @@ impl Emitters {
                 };
                 let cross = PlacedFace::new(triangles, hit.face, instance.tree_from_scene.inverse()).cross;
                 let cosine = cross.normalize().dot(ray.direction).abs();
-                let per_area =
-                    brightness(&scene.materials[hit.material as usize]) * self.density_of(position, place, cut);
+                let power = self.list[position as usize].power;
+                let per_area = brightness(&scene.materials[hit.material as usize]) / power
+                    * self.probability(position, place, cut);
                 per_area * hit.t * hit.t / cosine.max(f64::MIN_POSITIVE)
             }
             Lamp::Boxed(around, position) => {
                 let Some(sides) = around.facing(place.p) else { return 1.0 };
-                let own = &self.list[*position as usize];
-                let share = (own.end - self.start(*position as usize)) * self.density_of(*position, place, cut);
+                let share = self.probability(*position, place, cut);
                 share * sides.density(place.p, ray.direction)
             }
         };
@@ -326,23 +309,12 @@ impl Emitters {
         work: &mut LightWork,
     ) -> Vec3 {
         let (p, normal) = (place.p, place.normal.as_dvec3());
-        let Some((leaf, probability, within)) = self.tree.draw(cut, p, normal, at[0]) else {
+        let Some((drawn, probability, along)) = self.tree.draw(cut, p, normal, at[0]) else {
             return Vec3::ZERO;
         };
-        let density = self.density(&leaf, probability);
-        let target = within * self.list[leaf.end - 1].end;
-        let own = &self.list[leaf.clone()];
-        let i = leaf.start + own.partition_point(|emitter| emitter.end <= target).min(own.len() - 1);
-        let (emitter, start) = (&self.list[i], self.start(i));
-        let power = emitter.end - start;
-        // Beside a much brighter emitter the sum does not grow.
-        if power <= 0.0 {
-            return Vec3::ZERO;
-        }
-        let along = ((target - start) / power).clamp(0.0, 1.0);
+        let emitter = &self.list[drawn];
         if let Lamp::Boxed(around, _) = &self.lamps[emitter.instance as usize] {
-            let share = power * density;
-            return light_of_object(traced, place, emitter.instance, (around, share), [along, at[1]], work);
+            return light_of_object(traced, place, emitter.instance, (around, probability), [along, at[1]], work);
         }
         let u = along.sqrt();
         let weights = [1.0 - u, u * (1.0 - at[1]), u * at[1]];
@@ -374,7 +346,7 @@ impl Emitters {
         if !is_visible || opacity < LEAST_OPACITY {
             return Vec3::ZERO;
         }
-        let per_area = brightness(face.material()) * density;
+        let per_area = brightness(face.material()) / emitter.power * probability;
         face.emission(|| 0.0) * weight_of_drawn(arrives, per_area * t * t / cosine)
     }
 }
@@ -423,7 +395,7 @@ fn code_in_box(p: DVec3, [lower, upper]: [DVec3; 2]) -> u64 {
     morton_code(cell.to_array().map(|x| x as u64))
 }
 
-/// The faces in a range that emit light. `end` of each is its own area times brightness.
+/// The faces in a range that emit light.
 fn weights(scene: &Scene, item: usize, faces: Range<usize>) -> Vec<SortedEmitter> {
     let instance = &scene.instances[item];
     let Some(triangles) = instance.triangles.as_deref() else { return Vec::new() };
@@ -433,22 +405,22 @@ fn weights(scene: &Scene, item: usize, faces: Range<usize>) -> Vec<SortedEmitter
     let emitter = |face: usize| {
         let brightness = brightness(&materials[triangles.material[face] as usize]);
         let cross = PlacedFace::new(triangles, face as u32, scene_from_tree).cross;
-        let end = 0.5 * cross.length() * brightness;
+        let power = 0.5 * cross.length() * brightness;
         let middle = triangles.mesh.triangle(face as u32).iter().sum::<DVec3>() / 3.0;
         let octant = cross.to_array().iter().enumerate().fold(0, |bits, (i, x)| bits | u64::from(*x < 0.0) << i);
         let key = octant << 60 | code_in_box(middle, [lower, upper]);
-        (end > 0.0 && end.is_finite()).then_some((key, Emitter { instance: item as u32, face: face as u32, end }))
+        (power > 0.0 && power.is_finite()).then_some((key, Emitter { instance: item as u32, face: face as u32, power }))
     };
     faces.filter_map(emitter).collect()
 }
 
-/// The bounds of an emitter in scene space. `end` of it is its own area times brightness.
+/// The bounds of an emitter in scene space.
 fn bounds(scene: &Scene, lamps: &[Lamp], emitter: &Emitter) -> Bounds {
     let instance = &scene.instances[emitter.instance as usize];
     if let Lamp::Boxed(around, _) = &lamps[emitter.instance as usize] {
         let [a, b, c] = around.edges;
         let corners = [DVec3::ZERO, a, b, c, a + b, a + c, b + c, a + b + c].map(|corner| around.corner + corner);
-        return Bounds::new(corners, None, false, emitter.end);
+        return Bounds::new(corners, None, false, emitter.power);
     }
     // Every other emitter is a face of a mesh.
     let Some(triangles) = instance.triangles.as_deref() else { return Bounds::new([], None, false, 0.0) };
@@ -456,7 +428,7 @@ fn bounds(scene: &Scene, lamps: &[Lamp], emitter: &Emitter) -> Bounds {
     let PlacedFace { corner, edges, cross } = PlacedFace::new(triangles, emitter.face, scene_from_tree);
     let normal = scene_from_tree.matrix3.determinant().signum() * cross.normalize();
     let material = &instance.own_materials(&scene.materials)[triangles.material[emitter.face as usize] as usize];
-    Bounds::new([corner, corner + edges[0], corner + edges[1]], Some(normal), material.two_sided, emitter.end)
+    Bounds::new([corner, corner + edges[0], corner + edges[1]], Some(normal), material.two_sided, emitter.power)
 }
 
 /// Density of cosine-weighted directions along a ray, per steradian.
@@ -466,7 +438,8 @@ fn density_of_direction(place: &SurfacePoint, ray: &LightRay) -> f64 {
 
 /// Weight of a direction by its cosine, if directions to the emitters have the density `drawn` along it.
 fn weight_of_direction(direction: f64, drawn: f64) -> f32 {
-    let ratio = drawn / direction;
+    // A direction in the tangent plane has the density 0.
+    let ratio = drawn / direction.max(f64::MIN_POSITIVE);
     (1.0 + ratio * ratio).recip() as f32
 }
 

@@ -18,10 +18,6 @@ use crate::error::Error;
 use crate::progress::Progress;
 use glam::DVec3;
 use std::f64::consts::PI;
-use std::ops::Range;
-
-/// Most emitters of a leaf.
-pub(super) const LEAF: usize = 1;
 
 /// Most emitters around which one ball is tested for a ray.
 const FEW: usize = 16;
@@ -226,17 +222,16 @@ impl EmitterTree {
         bounds: impl Fn(usize) -> Bounds + Sync,
         progress: &Progress,
     ) -> Result<Self, Error> {
-        let leaves = count.div_ceil(LEAF);
-        let mut nodes = vec![Node::default(); (2 * leaves).saturating_sub(1)];
-        if leaves > 0 {
-            fill(&mut nodes, 0, leaves, count, &bounds, progress)?;
+        let mut nodes = vec![Node::default(); (2 * count).saturating_sub(1)];
+        if count > 0 {
+            fill(&mut nodes, 0, count, &bounds, progress)?;
         }
         Ok(Self { nodes, count })
     }
 
     /// Memory of a tree over emitters, bytes.
     pub(super) fn bytes(count: usize) -> usize {
-        2 * count.div_ceil(LEAF) * size_of::<Node>()
+        2 * count * size_of::<Node>()
     }
 
     /// The shares of both children in the light at a place; None if both are dark.
@@ -246,7 +241,8 @@ impl EmitterTree {
         (total > 0.0 && total.is_finite()).then(|| first / total)
     }
 
-    /// At most about `count` nodes that partition the tree, by their light at a place. None if all emitters are dark.
+    /// About `count` nodes that partition the tree, by their light at a place. None if all emitters are dark, or if an
+    /// estimate is not finite.
     pub(super) fn cut(&self, p: DVec3, normal: DVec3, count: usize) -> Option<Cut> {
         let root = self.root();
         let mut cut = Cut { parts: Vec::with_capacity(count.min(root.leaves)), total: 0.0 };
@@ -275,9 +271,9 @@ impl EmitterTree {
         }
     }
 
-    /// The emitters of a leaf, the probability to draw the leaf, and the position within it, from 0 to 1. `at`, from 0
-    /// to 1, draws it, from a cut at the place if there is one. None if what it draws is dark.
-    pub(super) fn draw(&self, cut: Option<&Cut>, p: DVec3, normal: DVec3, at: f64) -> Option<(Range<usize>, f64, f64)> {
+    /// An emitter, the probability to draw it, and the position within it, from 0 to 1. `at`, from 0 to 1, draws it,
+    /// from a cut at the place if there is one. None if `at` draws dark nodes.
+    pub(super) fn draw(&self, cut: Option<&Cut>, p: DVec3, normal: DVec3, at: f64) -> Option<(usize, f64, f64)> {
         let (mut position, mut probability, mut at) = cut.map_or((self.root(), 1.0, at), |cut| cut.draw(at));
         while position.leaves > 1 {
             let children = position.children();
@@ -289,25 +285,22 @@ impl EmitterTree {
                 (position, probability, at) = (children[1], probability * rest, (at - share) / rest);
             }
         }
-        (probability > 0.0).then(|| (self.emitters_of(position), probability, at.clamp(0.0, 1.0)))
+        (probability > 0.0).then(|| (position.first, probability, at.clamp(0.0, 1.0)))
     }
 
-    /// The emitters of the leaf of an emitter, and the probability to draw the leaf, from a cut if there is one.
-    pub(super) fn leaf_of(&self, cut: Option<&Cut>, emitter: usize, p: DVec3, normal: DVec3) -> (Range<usize>, f64) {
-        let leaf = emitter / LEAF;
-        let start = cut.map_or(Some((self.root(), 1.0)), |cut| cut.part_of(leaf));
-        let Some((mut position, mut probability)) = start else {
-            return (leaf * LEAF..((leaf + 1) * LEAF).min(self.count), 0.0);
-        };
+    /// The probability to draw an emitter, from a cut if there is one.
+    pub(super) fn probability(&self, cut: Option<&Cut>, emitter: usize, p: DVec3, normal: DVec3) -> f64 {
+        let start = cut.map_or(Some((self.root(), 1.0)), |cut| cut.part_of(emitter));
+        let Some((mut position, mut probability)) = start else { return 0.0 };
         while position.leaves > 1 {
             let children = position.children();
-            let is_second = leaf >= children[1].first;
+            let is_second = emitter >= children[1].first;
             position = children[usize::from(is_second)];
             // Dark children below a node with an estimate are not drawn.
             probability *=
                 self.share(children, p, normal).map_or(0.0, |share| if is_second { 1.0 - share } else { share });
         }
-        (self.emitters_of(position), probability)
+        probability
     }
 
     /// Whether a ray may hit an emitter: false if it hits no ball around [`FEW`] of them.
@@ -321,11 +314,7 @@ impl EmitterTree {
     }
 
     fn root(&self) -> Position {
-        Position { node: 0, first: 0, leaves: self.count.div_ceil(LEAF) }
-    }
-
-    fn emitters_of(&self, leaf: Position) -> Range<usize> {
-        leaf.first * LEAF..((leaf.first + 1) * LEAF).min(self.count)
+        Position { node: 0, first: 0, leaves: self.count }
     }
 }
 
@@ -334,18 +323,16 @@ fn fill(
     nodes: &mut [Node],
     first: usize,
     leaves: usize,
-    count: usize,
     bounds: &(impl Fn(usize) -> Bounds + Sync),
     progress: &Progress,
 ) -> Result<Bounds, Error> {
     let own = if leaves == 1 {
-        let rest = (first * LEAF + 1..((first + 1) * LEAF).min(count)).map(bounds);
-        rest.fold(bounds(first * LEAF), |all, one| all.union(&one))
+        bounds(first)
     } else {
         let left = leaves / 2;
         let (lower, upper) = nodes[1..].split_at_mut(2 * left - 1);
-        let mut first_half = || fill(lower, first, left, count, bounds, progress);
-        let mut second_half = || fill(upper, first + left, leaves - left, count, bounds, progress);
+        let mut first_half = || fill(lower, first, left, bounds, progress);
+        let mut second_half = || fill(upper, first + left, leaves - left, bounds, progress);
         let (a, b) = if leaves >= PARALLEL {
             progress.check()?;
             rayon::join(first_half, second_half)
@@ -371,7 +358,7 @@ mod tests {
     }
 
     #[test]
-    fn every_lit_emitter_is_drawn_with_the_probability_of_its_leaf() {
+    fn every_lit_emitter_is_drawn_with_its_probability() {
         let tree = EmitterTree::new(
             100,
             |i| Bounds::new([ball(i).0], Some(ball(i).1), false, 1.0 + i as f64),
@@ -387,14 +374,14 @@ mod tests {
             let steps = 100_000;
             for step in 0..steps {
                 let at = (f64::from(step) + 0.5) / f64::from(steps);
-                let Some((emitters, probability, within)) = tree.draw(None, p, normal, at) else { continue };
+                let Some((emitter, probability, within)) = tree.draw(None, p, normal, at) else { continue };
                 assert!((0.0..=1.0).contains(&within));
-                assert_eq!((emitters.clone(), probability), tree.leaf_of(None, emitters.start, p, normal));
-                drawn[emitters.start] += 1;
+                assert_eq!(probability, tree.probability(None, emitter, p, normal));
+                drawn[emitter] += 1;
             }
             for i in 0..100 {
-                let (leaf, probability) = tree.leaf_of(None, i, p, normal);
-                let share = f64::from(drawn[leaf.start]) / f64::from(steps);
+                let probability = tree.probability(None, i, p, normal);
+                let share = f64::from(drawn[i]) / f64::from(steps);
                 assert!((share - probability).abs() <= 1e-4, "{i}: {share} {probability}");
                 let (place, facing) = ball(i);
                 let to = place - p;
@@ -406,7 +393,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cut_draws_every_lit_emitter_with_the_probability_of_its_leaf() {
+    fn a_cut_draws_every_lit_emitter_with_its_probability() {
         let count = 400;
         let place = |i: usize| ball(i % 100).0 + DVec3::new((i / 100) as f64, 0.0, 0.0);
         let bounds = |i: usize| Bounds::new([place(i)], Some(ball(i % 100).1), false, 1.0);
@@ -414,25 +401,28 @@ mod tests {
         let (p, normal) = (DVec3::new(3.0, 2.0, 0.5), DVec3::NEG_Y);
         let cut = tree.cut(p, normal, 50).unwrap();
         let mut sum = 0.0;
-        for leaf in (0..count).step_by(LEAF) {
-            let (emitters, probability) = tree.leaf_of(Some(&cut), leaf, p, normal);
-            assert_eq!(emitters, leaf..leaf + LEAF);
+        for i in 0..count {
+            let probability = tree.probability(Some(&cut), i, p, normal);
             sum += probability;
-            let is_lit = emitters.clone().any(|i| {
-                let to = place(i) - p;
-                normal.dot(to) > 0.0 && ball(i % 100).1.dot(to) < 0.0
-            });
-            assert!(probability > 0.0 || !is_lit, "{leaf}");
+            let to = place(i) - p;
+            let is_lit = normal.dot(to) > 0.0 && ball(i % 100).1.dot(to) < 0.0;
+            assert!(probability > 0.0 || !is_lit, "{i}");
         }
-        // The rest draws nodes whose emitters are all dark.
-        assert!(sum > 0.5 && sum <= 1.0 + 1e-9, "{sum}");
+        // The other numbers draw nodes whose emitters are all dark.
+        assert!(sum <= 1.0 + 1e-9, "{sum}");
+        let mut missing = 0;
         for step in 0..1000 {
             let at = f64::from(step) / 999.0;
-            let Some((emitters, probability, within)) = tree.draw(Some(&cut), p, normal, at) else { continue };
+            let Some((emitter, probability, within)) = tree.draw(Some(&cut), p, normal, at) else {
+                missing += 1;
+                continue;
+            };
             assert!((0.0..=1.0).contains(&within));
-            let (same, again) = tree.leaf_of(Some(&cut), emitters.start, p, normal);
-            assert!(same == emitters && (again / probability - 1.0).abs() <= 1e-12);
+            let again = tree.probability(Some(&cut), emitter, p, normal);
+            assert!((again / probability - 1.0).abs() <= 1e-12);
         }
+        // Each end of the parts of a cut is one step or none.
+        assert!((f64::from(missing) / 1000.0 - (1.0 - sum)).abs() <= 0.05, "{missing} {sum}");
     }
 
     #[test]
