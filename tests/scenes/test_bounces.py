@@ -226,6 +226,20 @@ def test_denoised_light_of_a_room_is_nearer_to_the_truth():
     assert np.sqrt(np.mean(smooth**2)) <= rms / 2
 
 
+def test_rays_that_can_hit_no_emitter_add_no_light():
+    ball = Surface(fb.Mesh(*meshes.icosphere(2, 0.15, (0, 0.6, 0.1))), emission=(9, 9, 9))
+    bar = fb.Instance(fb.box((0.4, 0.05, 0.05)), material=fb.Material(color=(0, 0, 0), emission=(4, 2, 1)))
+
+    def frame(ambient):
+        scene = fb.Scene([*scene_of([*room.room(), ball]).instances, bar], [], ambient=ambient)
+        return fb.render(scene, CAMERA, size=(24, 24), bounces=1, bounce_samples=64, device="cpu")
+
+    # Dim surroundings need all rays, and their light is lost in the rounding.
+    dark, dim = frame(0), frame(1e-20)
+    assert np.array_equal(dark.color, dim.color)
+    assert dark.report["rays"] <= 0.9 * dim.report["rays"]
+
+
 def test_denoised_light_keeps_the_edge_of_a_shadow():
     # Under a luminous strip of the width 0.04 the shadow of the edge of a table ends at x = 0 within a pixel.
     strip = fb.Mesh([(-0.02, 1, -2), (0.02, 1, -2), (0.02, 1, 2), (-0.02, 1, 2)], [(0, 1, 2), (0, 2, 3)])

@@ -259,7 +259,7 @@ mod tests {
     use super::*;
     use crate::csg::text::language::parse;
 
-    /// Sorted points have the values of single points, which are not sorted.
+    /// Divided points have the values of single points, which are not divided.
     #[test]
     fn many_points_have_the_values_of_single_points() {
         let mut random = crate::mesh::random::uniform(9);
@@ -284,5 +284,8 @@ mod tests {
             assert_eq!(distances[i].to_bits(), alone.to_bits(), "{point}");
             assert_eq!(gradients[i], solid.gradients(&[*point], &progress).unwrap()[0], "{point}");
         }
+        progress.cancel();
+        assert!(solid.distances(&points, &progress).is_err());
+        assert!(solid.gradients(&points, &progress).is_err());
     }
 }
