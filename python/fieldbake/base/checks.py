@@ -129,13 +129,18 @@ def matrix(
     name: str, value: ArrayLike, shape: tuple[int, ...], error: type[Error] = ArgumentError
 ) -> NDArray[np.float64]:
     """Check a finite array of exactly this shape; return a new float64 array."""
-    array = real_array(name, value, str(shape), error)
-    if array.shape != shape:
-        raise error(f"{name}: must have shape {shape}, got {describe(array)}")
-    result = np.array(as_float64(array))
+    result = _shaped(name, value, shape, error)
     if not np.isfinite(result).all():
         raise error(f"{name}: must be finite, got {result.tolist()}")
     return result
+
+
+def _shaped(name: str, value: ArrayLike, shape: tuple[int, ...], error: type[Error]) -> NDArray[np.float64]:
+    """Check an array of exactly this shape; return a new float64 array."""
+    array = real_array(name, value, str(shape), error)
+    if array.shape != shape:
+        raise error(f"{name}: must have shape {shape}, got {describe(array)}")
+    return np.array(as_float64(array))
 
 
 def flag(name: str, value: object) -> bool:
@@ -230,10 +235,7 @@ def affine(name: str, value: ArrayLike, error: type[Error]) -> NDArray[np.float6
 
 def affine_list(name: str, value: ArrayLike, count: int, error: type[Error]) -> NDArray[np.float64]:
     """Check affine transforms as :func:`affine` does, (count, 4, 4); the message names the index of the wrong one."""
-    transforms = real_array(name, value, f"({count}, 4, 4)", error)
-    if transforms.shape != (count, 4, 4):
-        raise error(f"{name}: must have shape {(count, 4, 4)}, got {describe(transforms)}")
-    transforms = np.array(as_float64(transforms))
+    transforms = _shaped(name, value, (count, 4, 4), error)
     is_finite = np.isfinite(transforms).all(axis=(1, 2))
     if not is_finite.all():
         index = int(np.argmin(is_finite))

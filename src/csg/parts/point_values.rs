@@ -257,19 +257,15 @@ fn ball_around(lower: DVec3, upper: DVec3) -> Ball {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::csg::parts::pruning::tests::text_of_many_leaves;
     use crate::csg::text::language::parse;
 
     /// Divided points have the values of single points, which are not divided.
     #[test]
     fn many_points_have_the_values_of_single_points() {
         let mut random = crate::mesh::random::uniform(9);
-        let mut text = "(box 2 2 2)".to_owned();
-        for i in 0..2 * MANY_LEAVES {
-            let [x, y, z] = [random(), random(), random()].map(|x| 2.4 * x - 1.2);
-            let joint = ["union", "diff", "blend union 0.05", "xor"][i % 4];
-            let leaf = ["(sphere 0.3)", "(rotate 1 2 3 40 (box 0.3 0.2 0.4))", "(twist 60 (cone 0.4 0.5))"][i % 3];
-            text = format!("({joint} {text} (move {x} {y} {z} {leaf}))");
-        }
+        let joints = ["union", "diff", "blend union 0.05", "xor"];
+        let text = text_of_many_leaves(2 * MANY_LEAVES, &joints, &mut random);
         let solid = Solid::new(&parse(&text).unwrap()).unwrap();
         let mut points: Vec<DVec3> = (0..3000).map(|_| DVec3::new(random(), random(), random()) * 3.0 - 1.5).collect();
         // Points at one place, and points far away, where positions are rounded by more than the shape is large.

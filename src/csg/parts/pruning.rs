@@ -395,23 +395,27 @@ fn drop_operand(remaining: BoundedOperand, gone: BoundedOperand, kept: &mut Vec<
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::csg::evaluation::dual::Dual;
     use crate::csg::evaluation::program::Stack;
     use crate::csg::parts::solid::run_wide;
     use crate::csg::text::language::parse;
 
+    /// The text of a box, joined by some operators in turn with `count` leaves at random places.
+    pub(crate) fn text_of_many_leaves(count: usize, joints: &[&str], random: &mut impl FnMut() -> f64) -> String {
+        let leaves = ["(sphere 0.3)", "(rotate 1 2 3 40 (box 0.3 0.2 0.4))", "(twist 60 (cone 0.4 0.5))"];
+        (0..count).fold("(box 2 2 2)".to_owned(), |text, i| {
+            let [x, y, z] = [random(), random(), random()].map(|x| 2.4 * x - 1.2);
+            format!("({} {text} (move {x} {y} {z} {}))", joints[i % joints.len()], leaves[i % leaves.len()])
+        })
+    }
+
     #[test]
     fn tokens_near_a_place_return_the_same_bits() {
-        let leaves = ["(sphere 0.3)", "(rotate 1 2 3 40 (box 0.3 0.2 0.4))", "(twist 60 (cone 0.4 0.5))"];
         let mut random = crate::mesh::random::uniform(5);
         for joint in ["union", "blend union 0.1", "chamfer union 0.1", "xor", "diff"] {
-            let mut text = "(box 2 2 2)".to_owned();
-            for i in 0..40 {
-                let [x, y, z] = [random(), random(), random()].map(|x| 2.0 * x - 1.0);
-                text = format!("({joint} {text} (move {x} {y} {z} {}))", leaves[i % leaves.len()]);
-            }
+            let text = text_of_many_leaves(40, &[joint], &mut random);
             // A leaf far larger than the shape, whose values float32 rounds by 1e-3.
             let text = format!("(inter {text} (move 0 0 -10000 (sphere 20000)))");
             let solid = Solid::new(&parse(&text).unwrap()).unwrap();

@@ -402,8 +402,8 @@ fn first_of_inverse(mut matrix: [[f32; TERMS]; TERMS]) -> [f32; TERMS] {
     }
     let mut found = [0.0; TERMS];
     for term in 0..TERMS {
-        let known: f32 = (0..term).map(|k| matrix[term][k] * found[k]).sum();
-        found[term] = (f32::from(u8::from(term == 0)) - known) / matrix[term][term];
+        let lower: f32 = (0..term).map(|k| matrix[term][k] * found[k]).sum();
+        found[term] = (f32::from(u8::from(term == 0)) - lower) / matrix[term][term];
     }
     found
 }
