@@ -257,7 +257,7 @@ fn ball_around(lower: DVec3, upper: DVec3) -> Ball {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::csg::parts::pruning::tests::text_of_many_leaves;
+    use crate::csg::parts::pruning::text_of_many_leaves;
     use crate::csg::text::language::parse;
 
     /// Divided points have the values of single points, which are not divided.

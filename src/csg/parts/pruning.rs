@@ -394,22 +394,23 @@ fn drop_operand(remaining: BoundedOperand, gone: BoundedOperand, kept: &mut Vec<
     }
 }
 
+/// The text of a box, joined by some operators in turn with `count` leaves at random places.
 #[cfg(test)]
-pub(crate) mod tests {
+pub(super) fn text_of_many_leaves(count: usize, joints: &[&str], random: &mut impl FnMut() -> f64) -> String {
+    let leaves = ["(sphere 0.3)", "(rotate 1 2 3 40 (box 0.3 0.2 0.4))", "(twist 60 (cone 0.4 0.5))"];
+    (0..count).fold("(box 2 2 2)".to_owned(), |text, i| {
+        let [x, y, z] = [random(), random(), random()].map(|x| 2.4 * x - 1.2);
+        format!("({} {text} (move {x} {y} {z} {}))", joints[i % joints.len()], leaves[i % leaves.len()])
+    })
+}
+
+#[cfg(test)]
+mod tests {
     use super::*;
     use crate::csg::evaluation::dual::Dual;
     use crate::csg::evaluation::program::Stack;
     use crate::csg::parts::solid::run_wide;
     use crate::csg::text::language::parse;
-
-    /// The text of a box, joined by some operators in turn with `count` leaves at random places.
-    pub(crate) fn text_of_many_leaves(count: usize, joints: &[&str], random: &mut impl FnMut() -> f64) -> String {
-        let leaves = ["(sphere 0.3)", "(rotate 1 2 3 40 (box 0.3 0.2 0.4))", "(twist 60 (cone 0.4 0.5))"];
-        (0..count).fold("(box 2 2 2)".to_owned(), |text, i| {
-            let [x, y, z] = [random(), random(), random()].map(|x| 2.4 * x - 1.2);
-            format!("({} {text} (move {x} {y} {z} {}))", joints[i % joints.len()], leaves[i % leaves.len()])
-        })
-    }
 
     #[test]
     fn tokens_near_a_place_return_the_same_bits() {
